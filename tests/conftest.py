@@ -1,0 +1,16 @@
+"""Fixtures that several test files share."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of recorded views and scanned objects, which is not part of this repository."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("TOG_SHARED_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no recorded data at {folder}; set TOG_SHARED_DATA to the folder that has it")
+    return folder

@@ -1,0 +1,109 @@
+"""A grasp for a task from a saved view: no robot, no simulation."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tog_drake.candidates import pick_candidates
+from tog_drake.cloud import scene_cloud
+from tog_drake.errors import EpisodeError, NoGrasp
+from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
+from tog_drake.table import find_table
+from tog_drake.task import read_task
+from tog_drake.values import Array, View
+from dataclasses import replace
+
+GRASPS_SCHEMA = "tog_drake/grasps/1"
+
+
+def choose_on_view(
+    view: View, config: PipelineConfig, *, task: str, seed: int, X_WC: Array | None = None
+) -> Decision:
+    """Runs the stages that need no robot: cloud, proposer, candidates, selector.
+
+    The world is that of the table that is found in the view. Whether an arm could reach a grasp
+    is not asked.
+
+    Args:
+        view: its ``X_WC`` is not used.
+        config: workspace and camera in it are not used.
+        task: what a person said.
+        seed: of everything random.
+        X_WC: the camera's pose in a world whose z points up, (4, 4), if known: tells up.
+
+    Raises:
+        InputError: if there is no table in view, or the task is empty.
+    """
+    read_task(task)
+    decision = Decision()
+    seconds = decision.seconds
+
+    def timed(stage: str, calculate: Callable[[], Any]) -> Any:
+        start = time.perf_counter()
+        try:
+            return calculate()
+        finally:
+            seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    table = timed(
+        "cloud", lambda: find_table(view, seed, up=None if X_WC is None else X_WC[2, :3])
+    )
+    view = replace(view, X_WC=table.X_WC)
+    config = replace(config, workspace=table.workspace)
+    selector = make_selector(config, seed)
+    decision.view = view
+    try:
+        cloud = timed("cloud", lambda: scene_cloud(view, config.workspace, config.cloud))
+        decision.cloud = cloud
+        grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud))
+        decision.grasps = grasps
+        if len(grasps) == 0:
+            raise NoGrasp(
+                f"no grasp proposed on {cloud.size()} points: nothing in view is narrower than "
+                "the hand's opening and free around it"
+            )
+        candidates = timed("candidates", lambda: pick_candidates(grasps, config.candidates, seed))
+        decision.candidates = candidates
+        decision.choice = timed(
+            "select", lambda: selector.select(view, cloud, candidates, task)
+        )
+    except EpisodeError as error:
+        decision.error = error
+    return decision
+
+
+def grasps_record(decision: Decision) -> dict[str, Any]:
+    """Returns the content of ``grasps.json``: all grasps in the camera's frame, best first."""
+    assert decision.view is not None
+    grasps, choice, candidates = decision.grasps, decision.choice, decision.candidates
+    X_CW = np.linalg.inv(decision.view.X_WC)
+    rows = []
+    if grasps is not None:
+        from tog_drake.pinhole import project
+
+        pixels = project(grasps.p_WContact, decision.view.intrinsics, decision.view.X_WC)
+        X_CG = X_CW @ grasps.X_WG
+        p_C = grasps.p_WContact @ X_CW[:3, :3].T + X_CW[:3, 3]
+        rows = [
+            {
+                "X_CG": X_CG[i].tolist(),
+                "width": float(grasps.width[i]),
+                "score": float(grasps.score[i]),
+                "contact": p_C[i].tolist(),
+                "pixel": pixels[i].tolist(),
+            }
+            for i in range(len(grasps))
+        ]
+    return {
+        "schema": GRASPS_SCHEMA,
+        "frame": "camera: x right, y down, z forward [m]",
+        "grasp_frame": "origin between the finger pads, z approach, y closing; "
+        "a Panda's hand body (franka_hand) is 0.1034 m behind it along z",
+        "X_CW": X_CW.tolist(),
+        "world": "on the table top: z up, x the image's right",
+        "choice": None if choice is None else choice.index,
+        "candidates": [] if candidates is None else candidates.index.tolist(),
+        "grasps": rows,
+    }

@@ -1,0 +1,403 @@
+"""The command ``tog``. Heavy imports happen inside the subcommands: ``tog --help`` stays quick."""
+
+import json
+import signal
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from tog_drake.errors import InputError, TogError
+
+if TYPE_CHECKING:
+    from tog_drake.record import EpisodeRecord
+    from tog_drake.scenario import Scenario
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Training-free task-oriented grasping for the Franka Panda, in Drake. "
+    "Add --debug to any command for a traceback.",
+)
+
+DEFAULT_SCENARIO = "Hammer"
+DEMO_TASKS = {
+    "use": "use the hammer to drive a nail",
+    "handover": "hand me the hammer",
+}
+SELECTORS = ("geometric", "top-score", "random", "oracle")
+PROPOSERS = ("antipodal",)
+
+ScenarioOption = Annotated[
+    str | None, typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file.")
+]
+ScenarioText = Annotated[
+    str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
+]
+TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
+SelectorOption = Annotated[str | None, typer.Option(help=" | ".join(SELECTORS))]
+ProposerOption = Annotated[str | None, typer.Option(help=" | ".join(PROPOSERS))]
+KOption = Annotated[str | None, typer.Option(help="How many candidates: a number or auto.")]
+SeedOption = Annotated[int | None, typer.Option(min=0, help="Seeds everything random.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
+]
+
+
+def _epilog(example: str) -> str:
+    return f"Example: {example}"
+
+
+@app.command(epilog=_epilog('tog run --scenario Hammer --task "hand me the hammer"'))
+def run(
+    task: TaskOption,
+    scenario: ScenarioOption = None,
+    scenario_text: ScenarioText = None,
+    object_: Annotated[
+        str | None,
+        typer.Option("--object", help="Which object the task is about; alone, its scenario too."),
+    ] = None,
+    selector: SelectorOption = None,
+    proposer: ProposerOption = None,
+    k: KOption = None,
+    seed: SeedOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for episode.json and report.html.")] = Path(
+        "out/run"
+    ),
+    meshcat: Annotated[
+        bool, typer.Option(help="Show the run live on localhost, and its replay in the report.")
+    ] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.episode import run_episode
+    from tog_drake.report import write_report
+    from tog_drake.showing import report_of, save_record, show_live
+
+    console = _console(as_json)
+    name = scenario or _scenario_of(object_)
+    loaded = _load(name, scenario_text, selector, proposer, k, seed)
+    live = show_live(console) if meshcat else None
+    with console.status("looking, deciding, moving ..."):
+        episode = run_episode(
+            loaded, name=name, task=task, target=_target(object_, scenario), meshcat=live
+        )
+    save_record(out / "episode.json", episode.record)
+    write_report(out / "report.html", [report_of(episode)])
+    _print_stages(console, episode.record)
+    console.print(f"report: {out / 'report.html'}", highlight=False)
+    _print_json(as_json, episode.record)
+    raise typer.Exit(0 if episode.record["outcome"] == "lifted" else 1)
+
+
+@app.command(epilog=_epilog("tog demo --out out/demo"))
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the report and the episodes.")] = Path(
+        "out/demo"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Where the hammer lies.")] = 0,
+) -> None:
+    """One hammer, two tasks: held by the handle to use it, by the head to hand it over."""
+    from tog_drake.episode import run_episode
+    from tog_drake.report import write_report
+    from tog_drake.showing import report_of, save_record
+    from tog_drake.visualization import make_meshcat
+
+    console = _console(as_json=False)
+    loaded = _load(DEFAULT_SCENARIO, None, None, None, None, seed)
+    episodes = []
+    for label, task in DEMO_TASKS.items():
+        with console.status(f"{task} ..."):
+            episode = run_episode(
+                loaded, name=DEFAULT_SCENARIO, task=task, target=None, meshcat=make_meshcat()
+            )
+        save_record(out / label / "episode.json", episode.record)
+        _print_stages(console, episode.record)
+        episodes.append(episode)
+    write_report(out / "report.html", [report_of(episode) for episode in episodes])
+    console.print(f"report: {out / 'report.html'}", highlight=False)
+    good = all(episode.record["combined_success"] for episode in episodes)
+    raise typer.Exit(0 if good else 1)
+
+
+@app.command(
+    epilog=_epilog(
+        "tog choose --rgb color.png --depth depth.png --intrinsics camera.json "
+        '--task "hold the red mug by the handle"'
+    )
+)
+def choose(
+    rgb: Annotated[Path, typer.Option(help="8-bit colour image.")],
+    depth: Annotated[Path, typer.Option(help="16-bit PNG, or float32 NPY or TIFF.")],
+    intrinsics: Annotated[Path, typer.Option(help="JSON {fx, fy, cx, cy, width, height}.")],
+    task: TaskOption,
+    depth_scale: Annotated[
+        float | None,
+        typer.Option(help="Depth units per metre; by default 1000 for PNG, 1 for floats."),
+    ] = None,
+    camera_pose: Annotated[
+        Path | None, typer.Option(help="JSON 4x4 matrix X_WC with z of W up; tells up.")
+    ] = None,
+    selector: SelectorOption = None,
+    proposer: ProposerOption = None,
+    k: KOption = None,
+    seed: SeedOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for grasps.json and overlay.png.")] = Path(
+        "out/choose"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Choose a grasp on a saved view. Exit 0: chosen; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.choose import choose_on_view, grasps_record
+    from tog_drake.files import write_atomically
+    from tog_drake.record import new_record
+    from tog_drake.saved_view import load_pose, load_view
+    from tog_drake.selectors.drawing import decision_image, encode_png
+
+    console = _console(as_json)
+    config = _overridden_pipeline(selector, proposer, k)
+    view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
+    X_WC = None if camera_pose is None else load_pose(camera_pose)
+    decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
+    record = new_record(decision, config, task=task, seed=seed or 0)
+    overlay = decision_image(view, decision.candidates, decision.choice)
+    write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
+    write_atomically(out / "overlay.png", encode_png(overlay))
+    write_atomically(out / "episode.json", json.dumps(record, indent=1))
+    _print_stages(console, record)
+    console.print(f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}", highlight=False)
+    _print_json(as_json, record)
+    raise typer.Exit(0 if decision.error is None else 1)
+
+
+@app.command(epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
+def eval(
+    selectors: Annotated[str, typer.Option(help="Comma-separated.")] = "top-score,oracle",
+    objects: Annotated[str, typer.Option(help="Comma-separated scenarios.")] = (
+        "Hammer,Mug,Screwdriver,Spoon,Spatula,Brush"
+    ),
+    seeds: Annotated[int, typer.Option(min=1, help="Poses of each object: seeds 0 .. N-1.")] = 5,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    out: Annotated[Path, typer.Option(help="Folder for episodes.jsonl.")] = Path("out/eval"),
+    as_json: JsonOption = False,
+) -> None:
+    """Run every object, seed and task with each selector, and print the table of successes."""
+    from tog_drake.evaluation import evaluate, summarize
+    from tog_drake.files import write_atomically
+
+    console = _console(as_json)
+    chosen = [_valid(s, SELECTORS, "selector") for s in selectors.split(",")]
+    records = evaluate(objects.split(","), chosen, range(seeds), workers, console)
+    lines = "".join(json.dumps(record) + "\n" for record in records)
+    write_atomically(out / "episodes.jsonl", lines)
+    rows = summarize(records)
+    table = Table("selector", "object", "n", "grasp", "task", "both", "outcomes")
+    for row in rows:
+        table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
+    console.print(table)
+    _print_json(as_json, {"rows": rows})
+
+
+@app.command(epilog=_epilog("tog scenarios"))
+def scenarios(as_json: JsonOption = False) -> None:
+    """List the scenarios that come with the package."""
+    from tog_drake.scenario import scenario_files
+
+    console = _console(as_json)
+    found = {name: _first_comment(path) for name, path in scenario_files().items()}
+    table = Table("scenario", "what it is")
+    for name, comment in found.items():
+        table.add_row(name, comment)
+    console.print(table)
+    _print_json(as_json, found)
+
+
+@app.command(epilog=_epilog("tog show Hammer --out hammer.html"))
+def show(
+    scenario: Annotated[str, typer.Argument(help="Name or YAML file.")],
+    scenario_text: ScenarioText = None,
+    seed: SeedOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write a static page instead of serving one.")
+    ] = None,
+) -> None:
+    """Show a scenario in Meshcat: live on localhost until Ctrl-C, or as a static page."""
+    from tog_drake.showing import serve_scene, write_scene
+
+    loaded = _load(scenario, scenario_text, None, None, None, seed)
+    console = _console(as_json=False)
+    if out is None:
+        serve_scene(loaded, console)
+    else:
+        write_scene(loaded, out)
+        console.print(f"page: {out}", highlight=False)
+
+
+@app.command(epilog=_epilog("tog diagram Hammer --out hammer.svg"))
+def diagram(
+    scenario: Annotated[str, typer.Argument(help="Name or YAML file.")],
+    out: Annotated[Path, typer.Option(help="SVG file.")],
+    scenario_text: ScenarioText = None,
+    selector: SelectorOption = None,
+) -> None:
+    """Draw the Diagram of a scenario: station, stages and the ports that connect them."""
+    from tog_drake.diagram_graph import svg
+    from tog_drake.episode import build_world
+    from tog_drake.files import write_atomically
+
+    loaded = _load(scenario, scenario_text, selector, None, None, None)
+    write_atomically(out, svg(build_world(loaded)))
+    _console(as_json=False).print(f"picture: {out}", highlight=False)
+
+
+@app.command(epilog=_epilog("tog doctor"))
+def doctor(as_json: JsonOption = False) -> None:
+    """Check this machine: Python, Drake, rendering, Meshcat, disk, optional extras."""
+    from tog_drake.doctor import run_checks
+
+    console = _console(as_json)
+    checks = run_checks()
+    for check in checks:
+        mark = "ok     " if check.ok else ("PROBLEM" if check.required else "missing")
+        console.print(f"{mark}  {check.name}: {check.found}", markup=False, highlight=False)
+    _print_json(as_json, {check.name: vars(check) for check in checks})
+    raise typer.Exit(0 if all(check.ok for check in checks if check.required) else 1)
+
+
+def main() -> None:
+    """Runs the command: errors become one line and exit status 2, Ctrl-C status 130."""
+    debug = "--debug" in sys.argv
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        app(args=arguments, prog_name="tog")
+    except _Interrupted:
+        sys.stderr.write("interrupted\n")
+        sys.exit(130)
+    except (TogError, OSError) as error:
+        if debug:
+            traceback.print_exc()
+        sys.stderr.write(f"tog: {' '.join(str(error).split())}\n")
+        sys.exit(2)
+
+
+class _Interrupted(BaseException):
+    """Ctrl-C, kept from the command-line library, which would report it as a failure."""
+
+
+def _interrupt(signum: int, frame: object) -> None:
+    raise _Interrupted
+
+
+def _console(as_json: bool) -> Console:
+    """Where people read: stdout, or stderr when stdout is for one JSON object."""
+    return Console(stderr=as_json)
+
+
+def _print_json(as_json: bool, content: Any) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(content) + "\n")
+
+
+def _valid(given: str, valid: tuple[str, ...], what: str) -> str:
+    if given not in valid:
+        raise InputError(f"unknown {what} {given!r}; valid: {', '.join(valid)}")
+    return given
+
+
+def _scenario_of(object_: str | None) -> str:
+    """The scenario of an object that is named alone; else the default one."""
+    from tog_drake.scenario import scenario_files
+
+    if object_ is None:
+        return DEFAULT_SCENARIO
+    plain = {name.lower(): name for name in scenario_files()}
+    found = plain.get(object_.replace("_", "").replace(" ", "").lower())
+    if found is None:
+        raise InputError(f"unknown object {object_!r}; valid: {', '.join(plain)}")
+    return found
+
+
+def _target(object_: str | None, scenario: str | None) -> str | None:
+    """The object to look for in a scenario that was given; a scenario of its own has only it."""
+    return object_ if scenario is not None else None
+
+
+def _load(
+    name: str,
+    text: str | None,
+    selector: str | None,
+    proposer: str | None,
+    k: str | None,
+    seed: int | None,
+) -> "Scenario":
+    """The scenario with the command's options in place."""
+    from tog_drake.scenario import load_scenario
+
+    scenario = load_scenario(name, text)
+    _override(scenario.pipeline, selector, proposer, k)
+    if seed is not None:
+        scenario.random_seed = seed
+    return scenario
+
+
+def _overridden_pipeline(selector: str | None, proposer: str | None, k: str | None) -> Any:
+    from tog_drake.pipeline import PipelineConfig
+
+    config = PipelineConfig()
+    _override(config, selector, proposer, k)
+    return config
+
+
+def _override(config: Any, selector: str | None, proposer: str | None, k: str | None) -> None:
+    from tog_drake.pipeline import Antipodal, Geometric, Oracle, Random, TopScore
+
+    tags: dict[str, Any] = dict(zip(SELECTORS, (Geometric, TopScore, Random, Oracle), strict=True))
+    if selector is not None:
+        config.selector = tags[_valid(selector, SELECTORS, "selector")]()
+    if proposer is not None:
+        _valid(proposer, PROPOSERS, "proposer")
+        config.proposer = Antipodal()
+    if k is not None:
+        config.candidates.k = k
+
+
+def _first_comment(path: Path) -> str:
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    return first.lstrip("# ") if first.startswith("#") else ""
+
+
+def _print_stages(console: Console, record: "EpisodeRecord") -> None:
+    """The short table: stage, how many, ms; then what came of it."""
+    from tog_drake.record import stage_rows
+
+    table = Table("stage", "how many", "ms", title=record["task"], title_justify="left")
+    table.columns[1].justify = table.columns[2].justify = "right"
+    for stage, count, seconds in stage_rows(record):
+        table.add_row(stage, count, "" if seconds is None else f"{seconds * 1e3:.0f}")
+    console.print(table)
+    choice = record["choice"]
+    if choice is not None:
+        console.print(f"choice: {choice['part'] or '-'}. {choice['reason']}", markup=False)
+        if choice["status"] != "ok":
+            console.print(f"status: {choice['status']}", markup=False)
+    held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
+    console.print(
+        f"outcome: {record['outcome']}"
+        + (f"; held by {held}" if held else "")
+        + (f"; task compliance: {record['task_compliance']}" if held else "")
+        + (f" ({record['message']})" if record["message"] else ""),
+        markup=False,
+        highlight=False,
+    )
+
+
+if __name__ == "__main__":
+    main()

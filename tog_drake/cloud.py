@@ -1,0 +1,170 @@
+"""From a view to the cloud of what stands on the table: cropped, thinned, with normals."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.perception import BaseField, Fields, PointCloud
+from pydrake.systems.framework import Context, LeafSystem
+
+from tog_drake.errors import InputError, NoGrasp
+from tog_drake.pinhole import unproject
+from tog_drake.points import clusters, group_means, neighbors, surface_normals, voxel_numbers
+from tog_drake.values import Array, View, Workspace
+
+Spheres = tuple[Array, Array]
+"""Centres (S, 3) [m] in W and radii (S,) [m] of the balls that cover the robot."""
+
+
+@dataclass
+class CloudConfig:
+    """How a view becomes a cloud."""
+
+    voxel: float = 0.003  # [m] one point is kept per cube of this edge: the mean of its points
+    table_clearance: float = 0.004  # [m] what lies lower above the table top counts as table
+    normal_neighbors: int = 16  # points that a normal is fitted to
+    min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
+    max_gap: float = 0.010  # [m] points farther apart than this are not connected
+    robot_padding: float = 0.010  # [m] the robot's spheres are inflated by this
+    max_depth_step: float = 0.015  # [m] a pixel this far off both its neighbours flies between them
+
+
+class SceneCloud(LeafSystem):
+    """Turns the view into the cloud of the things on the table.
+
+    .. pydrake_system::
+
+        name: SceneCloud
+        input_ports:
+        - view
+        - panda.position_measured
+        output_ports:
+        - cloud
+
+    ``panda.position_measured`` is there only when ``robot_spheres`` is: it places the robot, whose
+    own points are no things.
+
+    Args:
+        robot_spheres: from the arm's position (7,) [rad] to the balls that cover arm and hand.
+    """
+
+    def __init__(
+        self,
+        config: CloudConfig,
+        workspace: Workspace,
+        *,
+        robot_spheres: Callable[[Array], Spheres] | None = None,
+    ):
+        super().__init__()
+        self._config = config
+        self._workspace = workspace
+        self._robot_spheres = robot_spheres
+        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        ports = [self._view]
+        if robot_spheres is not None:
+            self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
+            ports.append(self._position)
+        self.DeclareAbstractOutputPort(
+            "cloud",
+            alloc=lambda: Value(PointCloud(0)),
+            calc=self._CalcCloud,
+            prerequisites_of_calc={port.ticket() for port in ports},
+        )
+
+    def _CalcCloud(self, context: Context, output: Value) -> None:
+        robot = None
+        if self._robot_spheres is not None:
+            robot = self._robot_spheres(self._position.Eval(context))
+        view = self._view.Eval(context)
+        output.set_value(scene_cloud(view, self._workspace, self._config, robot))
+
+
+def scene_cloud(
+    view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None = None
+) -> PointCloud:
+    """Returns the points of the things on the table.
+
+    Args:
+        view: the image and where it was taken from.
+        workspace: what lies outside it, or not above its table, is left out.
+        config: see ``CloudConfig``.
+        robot: the balls that cover the robot; the points in them are left out.
+
+    Returns:
+        A cloud in W with colours and with unit normals turned towards the camera, in an order that
+        depends only on where the points are.
+
+    Raises:
+        InputError: the depth image is all holes.
+        NoGrasp: nothing is left.
+    """
+    if not np.any(view.depth > 0):
+        raise InputError(
+            f"all {view.depth.size} pixels of the depth image are holes (0, NaN or inf): check the "
+            "camera and the depth scale"
+        )
+    p_W, rgb = _crop(view, workspace, config)
+    in_workspace = len(p_W)
+    number = voxel_numbers(p_W, config.voxel)
+    p_W, rgb = group_means(number, p_W), group_means(number, rgb)
+    if robot is not None:
+        keep = ~_inside(p_W, robot, config.robot_padding)
+        p_W, rgb = p_W[keep], rgb[keep]
+    without_robot = len(p_W)
+    if without_robot > 0:
+        neighborhood = neighbors(p_W, config.normal_neighbors)
+        label = clusters(neighborhood, config.max_gap)
+        normal = surface_normals(p_W, neighborhood, config.max_gap, view.X_WC[:3, 3])
+        keep = np.bincount(label)[label] >= config.min_cluster_points
+        p_W, rgb, normal = p_W[keep], rgb[keep], normal[keep]
+    if len(p_W) == 0:
+        raise NoGrasp(
+            f"no object in view: {in_workspace} of {np.count_nonzero(view.depth > 0)} pixels with "
+            f"depth lie in the workspace above the table; thinned and without the robot they are "
+            f"{without_robot} points, of which none is in a cluster of at least "
+            f"{config.min_cluster_points}. Check the camera's pose, the workspace and the table "
+            "height"
+        )
+    return _point_cloud(p_W, rgb, normal)
+
+
+def _crop(view: View, workspace: Workspace, config: CloudConfig) -> tuple[Array, Array]:
+    """The pixels in the workspace and above the table: points (N, 3) in W, colours (N, 3)."""
+    p_W = np.moveaxis(unproject(view), -1, 0)
+    lower = np.array(workspace.lower)
+    lower[2] = max(lower[2], workspace.table_height + config.table_clearance)
+    keep = ~_flying(view.depth, config.max_depth_step)
+    for p, low, high in zip(p_W, lower, workspace.upper, strict=True):
+        keep &= (p > low) & (p < high)  # False for the holes, which are NaN
+    row = np.flatnonzero(keep)  # much faster than a mask of two dimensions
+    return p_W.reshape(3, -1)[:, row].T, view.rgb.reshape(-1, 3)[row].astype(np.float64)
+
+
+def _flying(depth: NDArray[np.float32], step: float) -> NDArray[np.bool_]:
+    """Pixels that hang between a near surface and a far one, where there is nothing."""
+    flying = np.zeros(depth.shape, dtype=bool)
+    for axis in (0, 1):
+        d = np.diff(depth, axis=axis)
+        before, after = np.split(d, [-1], axis=axis)[0], np.split(d, [1], axis=axis)[1]
+        between = (before > step) & (after > step) | (before < -step) & (after < -step)
+        inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
+        flying[inner] |= between
+    return flying
+
+
+def _inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
+    """Which points (N, 3) lie in one of the spheres, inflated by ``padding`` [m]."""
+    center, radius = spheres
+    squared = np.sum((p_W[:, None] - center) ** 2, axis=-1)  # (N, S)
+    return np.asarray(np.any(squared < (radius + padding) ** 2, axis=1))
+
+
+def _point_cloud(p_W: Array, rgb: Array, normal: Array) -> PointCloud:
+    fields = Fields(BaseField.kXYZs | BaseField.kNormals | BaseField.kRGBs)
+    cloud = PointCloud(len(p_W), fields)
+    cloud.mutable_xyzs()[:] = p_W.T
+    cloud.mutable_normals()[:] = normal.T
+    cloud.mutable_rgbs()[:] = np.rint(rgb).T
+    return cloud

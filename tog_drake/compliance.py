@@ -1,0 +1,171 @@
+"""Which part is held, and whether the task allows it: the judge.
+
+This module and the oracle are the only ones that read simulated ground truth (the labelled
+geometry of the objects). Nothing here reaches any other selector.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from pydrake.geometry import GeometryId, QueryObject, SceneGraph
+from pydrake.multibody.plant import ContactResults, MultibodyPlant
+
+from tog_drake.errors import InputError
+from tog_drake.task import read_task
+from tog_drake.values import Array, Grasps
+
+
+@dataclass(frozen=True)
+class ObjectParts:
+    """What an object is and what its parts are for: the content of a ``parts.yaml``."""
+
+    object: str
+    words: tuple[str, ...]  # what a person may call it
+    geometries: dict[str, str]  # collision geometry -> part
+    part_words: dict[str, tuple[str, ...]]  # part -> what a person may call it
+    tasks: dict[str, tuple[str, ...]]  # intent -> parts that may be held
+
+    def allowed(self, task: str) -> frozenset[str] | None:
+        """Returns the parts that the task allows to hold; None where its words do not say.
+
+        A part named in the task overrides its intent; a part to be avoided is taken away.
+        """
+        reading = read_task(task)
+        avoided = self._parts_called(reading.avoid)
+        if reading.parts:
+            named = self._parts_called(reading.parts)
+            return (named - avoided) or None
+        if reading.intent in self.tasks:
+            return frozenset(self.tasks[reading.intent]) - avoided or None
+        if avoided:
+            return frozenset(self.part_words) - avoided
+        return None
+
+    def _parts_called(self, words: tuple[str, ...]) -> frozenset[str]:
+        return frozenset(
+            part for part, called in self.part_words.items() if {part, *called} & set(words)
+        )
+
+
+def load_parts(path: Path) -> ObjectParts:
+    """Reads a ``parts.yaml`` (its form is described in ``models/README.md``).
+
+    Raises:
+        InputError: if the file is missing or not of that form.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        parts = content["parts"]
+        return ObjectParts(
+            object=str(content["object"]),
+            words=tuple(map(str, content["words"])),
+            geometries={str(g): part for part, p in parts.items() for g in p["geometries"]},
+            part_words={part: tuple(map(str, p["words"])) for part, p in parts.items()},
+            tasks={intent: tuple(allowed) for intent, allowed in content["tasks"].items()},
+        )
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"cannot read part labels from {path}: {error}; a labelled object has a parts.yaml "
+            "beside its SDF with the keys object, words, parts and tasks"
+        ) from error
+
+
+@dataclass(frozen=True)
+class PartLabels:
+    """The part that each collision geometry of the labelled objects belongs to."""
+
+    part_of: dict[GeometryId, tuple[str, str]]  # -> (model instance, part)
+    objects: dict[str, ObjectParts]  # by model instance
+
+    @staticmethod
+    def from_plant(
+        plant: MultibodyPlant, scene_graph: SceneGraph, objects: dict[str, ObjectParts]
+    ) -> "PartLabels":
+        """Finds the labelled geometries of ``objects`` (by model instance) in a finalized plant.
+
+        Raises:
+            InputError: if an object has a collision geometry without a part.
+        """
+        inspector = scene_graph.model_inspector()
+        part_of = {}
+        for model, labels in objects.items():
+            for body in plant.GetBodyIndices(plant.GetModelInstanceByName(model)):
+                for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body)):
+                    name = inspector.GetName(geometry).split("::")[-1]
+                    if name not in labels.geometries:
+                        raise InputError(
+                            f"collision geometry {name} of {model} has no part in its parts.yaml; "
+                            f"labelled are {', '.join(labels.geometries)}"
+                        )
+                    part_of[geometry] = (model, labels.geometries[name])
+        return PartLabels(part_of, objects)
+
+    def closing_region(self, grasps: Grasps, query_object: QueryObject) -> list[tuple[str, str]]:
+        """Returns the (model instance, part) nearest to each grasp's two contacts.
+
+        The contacts are ``p_WContact`` and the point ``width`` across, along y_G; between them
+        the distances of both to each part are added up.
+        """
+        return [
+            self._nearest(np.stack([p, _across(X, p, w)]), query_object)
+            for X, p, w in zip(grasps.X_WG, grasps.p_WContact, grasps.width, strict=True)
+        ]
+
+    def _nearest(self, points: Array, query_object: QueryObject) -> tuple[str, str]:
+        nearest: list[dict[tuple[str, str], float]] = []
+        for point in points:
+            distance: dict[tuple[str, str], float] = {}
+            for found in query_object.ComputeSignedDistanceToPoint(point, _CONTACT_REACH):
+                part = self.part_of.get(found.id_G)
+                if part is not None:
+                    distance[part] = min(distance.get(part, np.inf), found.distance)
+            nearest.append(distance)
+        parts = {part for distance in nearest for part in distance}
+        if not parts:
+            return ("", "")
+        return min(
+            sorted(parts), key=lambda part: sum(d.get(part, _CONTACT_REACH) for d in nearest)
+        )
+
+    def held(
+        self, forces: list[tuple[GeometryId, GeometryId, float]], pads: frozenset[GeometryId]
+    ) -> dict[tuple[str, str], float]:
+        """Returns the force [N] of the finger pads on each (model instance, part).
+
+        Args:
+            forces: of all contacts, from ``contact_forces``.
+            pads: the geometries of the fingers.
+        """
+        force: dict[tuple[str, str], float] = {}
+        for a, b, newtons in forces:
+            other = b if a in pads else a if b in pads else None
+            if other is not None and other in self.part_of:
+                part = self.part_of[other]
+                force[part] = force.get(part, 0.0) + newtons
+        return force
+
+
+_CONTACT_REACH = 0.03  # [m] a contact farther from any part than this belongs to none
+
+
+def _across(X_WG: Array, p_WContact: Array, width: float) -> Array:
+    """The other contact: ``width`` away along the closing direction, on the far side of G."""
+    y = X_WG[:3, 1]
+    side = np.sign((p_WContact - X_WG[:3, 3]) @ y) or 1.0
+    return p_WContact - side * width * y
+
+
+def contact_forces(contacts: ContactResults) -> list[tuple[GeometryId, GeometryId, float]]:
+    """Returns each contact's two geometries and the size of its force [N]."""
+    found = []
+    for i in range(contacts.num_hydroelastic_contacts()):
+        info = contacts.hydroelastic_contact_info(i)
+        surface, force = info.contact_surface(), info.F_Ac_W().translational()
+        found.append((surface.id_M(), surface.id_N(), float(np.linalg.norm(force))))
+    for i in range(contacts.num_point_pair_contacts()):
+        pair = contacts.point_pair_contact_info(i)
+        force = pair.contact_force()
+        found.append((pair.point_pair().id_A, pair.point_pair().id_B, float(np.linalg.norm(force))))
+    return found

@@ -1,0 +1,126 @@
+"""Checks whether this machine can run tog_drake, and says how to mend what it cannot."""
+
+import importlib
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+_LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
+# extra -> (module, what it is for)
+_EXTRAS = {"cgn": ("torch", "Contact-GraspNet"), "meshcat": ("meshcat", "meshcat-python")}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was checked."""
+
+    name: str
+    ok: bool
+    found: str
+    required: bool = True  # False: only some commands need it
+
+
+def run_checks() -> list[Check]:
+    """Returns every check in order; none of them raises."""
+    checks = [
+        _check("Python", _python),
+        _check("Drake", lambda: _version("drake")),
+        *(_check(name, lambda n=name: _version(n)) for name in ("numpy", "scipy")),
+        _check("OpenCV", lambda: _version("opencv-python-headless")),
+        _check("models", _models),
+        _check("rendering", _rendering),
+        _check("Meshcat", _meshcat),
+        _check("disk", _disk),
+        _check("graphviz (tog diagram)", _graphviz, required=False),
+    ]
+    for extra, (module, purpose) in _EXTRAS.items():
+        checks.append(
+            _check(
+                f"extra [{extra}] ({purpose})",
+                lambda m=module, e=extra: _extra(m, e),
+                required=False,
+            )
+        )
+    return checks
+
+
+class _Problem(Exception):
+    """What is wrong and how to mend it."""
+
+
+def _check(name: str, look: Callable[[], str], required: bool = True) -> Check:
+    try:
+        return Check(name, True, look(), required)
+    except Exception as error:  # whatever breaks is the finding
+        return Check(name, False, str(error) or type(error).__name__, required)
+
+
+def _python() -> str:
+    if sys.version_info < (3, 10):
+        raise _Problem(f"{platform.python_version()}; 3.10 or newer is needed")
+    return f"{platform.python_version()} on {platform.platform()}"
+
+
+def _version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError as error:
+        raise _Problem(f"missing; install it with: pip install {distribution}") from error
+
+
+def _models() -> str:
+    from tog_drake.resources import resource_dir
+    from tog_drake.scenario import scenario_files
+
+    if not scenario_files():
+        raise _Problem(f"no scenarios in {resource_dir('diagrams')}; reinstall tog_drake")
+    return f"{len(scenario_files())} scenarios in {resource_dir('diagrams')}"
+
+
+def _rendering() -> str:
+    """Renders one image in a process of its own: a broken driver would take this one down."""
+    from tog_drake.rendering import rendering_problem
+
+    problem = rendering_problem()
+    if problem:
+        raise _Problem(problem)
+    program = "from tog_drake.rendering import render_probe; print(render_probe())"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120
+    )
+    if done.returncode != 0:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise _Problem(f"a test image failed with status {done.returncode}: {last}")
+    return done.stdout.strip()
+
+
+def _meshcat() -> str:
+    from tog_drake.visualization import make_meshcat
+
+    return f"answers at {make_meshcat().web_url()}"
+
+
+def _disk() -> str:
+    free = shutil.disk_usage(Path.cwd()).free
+    if free < _LEAST_FREE:
+        raise _Problem(f"{free / 1e9:.1f} GB free here; {_LEAST_FREE / 1e9:.0f} GB is needed")
+    return f"{free / 1e9:.0f} GB free"
+
+
+def _graphviz() -> str:
+    if shutil.which("dot") is None:
+        raise _Problem("missing; install it with: sudo apt-get install graphviz")
+    return str(shutil.which("dot"))
+
+
+def _extra(module: str, extra: str) -> str:
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        raise _Problem(f"missing; install it with: pip install 'tog_drake[{extra}]'") from error
+    return metadata.version(module)

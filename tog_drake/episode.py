@@ -1,0 +1,210 @@
+"""One simulated episode: scenario, task and seed in; a record and what to show of it out."""
+
+import time
+from dataclasses import dataclass
+
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.sensors import CameraConfig
+
+from tog_drake.compliance import ObjectParts, PartLabels, load_parts
+from tog_drake.errors import InputError
+from tog_drake.executor import Phase
+from tog_drake.judge import Judge
+from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
+from tog_drake.planning_model import MakePlanningModel, PlanningModel
+from tog_drake.record import EpisodeRecord, new_record
+from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
+from tog_drake.stations.simulation import SimulationStation
+from tog_drake.values import Intrinsics
+from tog_drake.visualization import draw_decision, replay_html
+
+_SAMPLE = 0.02  # [s] between two looks of the judge
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What came out of one episode."""
+
+    record: EpisodeRecord
+    decision: Decision
+    replay: str | None  # a static page that plays it over and over, where Meshcat was given
+
+
+@dataclass(frozen=True)
+class World:
+    """A diagram that can run an episode, and its parts."""
+
+    diagram: Diagram
+    station: SimulationStation
+    pipeline: GraspPipeline
+    planning_model: PlanningModel
+    labels: PartLabels
+    target: str  # model instance of the object that the task is about
+
+
+def build_world(
+    scenario: Scenario, *, target: str | None = None, meshcat: Meshcat | None = None
+) -> World:
+    """Builds the simulated station and the pipeline of a scenario, connected.
+
+    Args:
+        scenario: what to build.
+        target: the object that the task is about (model instance); None where there is only one.
+        meshcat: where to draw, if anywhere.
+
+    Raises:
+        InputError: if the scenario does not hold the camera or the target.
+    """
+    files = model_files(scenario)
+    parts = {name: file.parent / "parts.yaml" for name, file in files.items()}
+    objects = {name: load_parts(path) for name, path in parts.items() if path.is_file()}
+    target = _find_target(objects, target)
+    camera = scenario.pipeline.camera
+    cameras = camera_configs(scenario)
+    if camera not in cameras:
+        raise InputError(
+            f"pipeline.camera: the scenario has no camera {camera!r}; valid: {', '.join(cameras)}"
+        )
+    station = SimulationStation(scenario, meshcat)
+    labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
+    planning_model = MakePlanningModel([robot_directive(scenario), *scenario.planning_directives])
+    pipeline = GraspPipeline(
+        scenario.pipeline,
+        intrinsics=_intrinsics(cameras[camera]),
+        planning_model=planning_model,
+        seed=scenario.random_seed,
+        ground_truth=GroundTruth(labels, target),
+    )
+    builder = DiagramBuilder()
+    builder.AddSystem(station)
+    builder.AddSystem(pipeline)
+    connect_to_station(builder, station, pipeline, camera)
+    diagram = builder.Build()
+    diagram.set_name("tog_drake")
+    return World(diagram, station, pipeline, planning_model, labels, target)
+
+
+def run_episode(
+    scenario: Scenario,
+    *,
+    name: str,
+    task: str,
+    target: str | None = None,
+    meshcat: Meshcat | None = None,
+) -> Episode:
+    """Runs one episode: look, decide, move, lift, hold, and judge.
+
+    Args:
+        scenario: the world and the pipeline, with the seed.
+        name: of the scenario, for the record.
+        task: what a person said.
+        target: as in ``build_world``.
+        meshcat: where to draw and record, if anywhere.
+
+    Raises:
+        InputError: if the scenario or the task cannot be used.
+    """
+    world = build_world(scenario, target=target, meshcat=meshcat)
+    simulator = Simulator(world.diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    context = simulator.get_mutable_context()
+    world.diagram.GetInputPort("task").FixValue(context, task)
+    if meshcat is not None:
+        meshcat.StartRecording()
+    simulator.Initialize()
+    simulator.AdvanceTo(scenario.pipeline.executor.look_time)
+    decision = decide(world.pipeline, context)
+    if meshcat is not None:
+        _draw(meshcat, decision, world)
+    record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
+    record["scenario"] = name
+    record["object"] = world.target
+    allowed = world.labels.objects[world.target].allowed(task)
+    record["allowed"] = None if allowed is None else sorted(allowed)
+    if decision.error is None:
+        _execute(simulator, world, task, record)
+    record["sim"]["seconds"] = context.get_time()
+    replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context())
+    return Episode(record, decision, replay)
+
+
+def _execute(simulator: Simulator, world: World, task: str, record: EpisodeRecord) -> None:
+    """Lets the executor move, the judge watching, and enters how it went."""
+    context = simulator.get_context()
+    judge = Judge(world.station, world.labels, world.target)
+    station_context = world.station.GetMyContextFromRoot(context)
+    executor = world.pipeline.executor
+    started, simulated = time.perf_counter(), context.get_time()
+    while True:
+        state = executor.state(executor.GetMyContextFromRoot(context))
+        judge.observe(station_context, state)
+        if state.phase in (Phase.DONE, Phase.FAILED):
+            break
+        simulator.AdvanceTo(context.get_time() + _SAMPLE)
+    wall = time.perf_counter() - started
+    record["seconds"]["execute"] = wall
+    record["sim"]["real_time_rate"] = (context.get_time() - simulated) / wall
+    verdict = judge.verdict(state, task)
+    record["outcome"] = verdict.outcome
+    record["message"] = verdict.message
+    record["held"] = verdict.held
+    record["lift"] = verdict.lift
+    record["grasp_success"] = verdict.grasp_success
+    record["task_compliance"] = verdict.task_compliance
+    if verdict.task_compliance is not None:
+        record["combined_success"] = verdict.grasp_success and verdict.task_compliance
+
+
+def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:
+    draw_decision(
+        meshcat,
+        cloud=decision.cloud,
+        grasps=decision.grasps,
+        candidates=decision.candidates,
+        choice=decision.choice,
+        motion=decision.motion,
+        X_WL0=world.planning_model.X_WL0,
+    )
+
+
+def _replay(meshcat: Meshcat, world: World, context: Context) -> str:
+    # Every track of the recording must end at the same time for the replay to repeat evenly.
+    world.diagram.ForcedPublish(context)
+    executor = world.pipeline.executor
+    state = executor.state(executor.GetMyContextFromRoot(context))
+    closed = None if state.motion is None else state.start_time + state.motion.phase_times["close"]
+    return replay_html(
+        meshcat, duration=context.get_time(), decided=executor.look_time, closed=closed
+    )
+
+
+def _find_target(objects: dict[str, ObjectParts], wanted: str | None) -> str:
+    """The model instance of the object meant, by its instance name or by what it is."""
+    valid = ", ".join(objects)
+    if not objects:
+        raise InputError("the scenario holds no labelled object (one with a parts.yaml)")
+    if wanted is None:
+        if len(objects) > 1:
+            raise InputError(f"which object is the task about? give --object; valid: {valid}")
+        return next(iter(objects))
+    if wanted in objects:
+        return wanted
+    same = [name for name, parts in objects.items() if wanted in (parts.object, *parts.words)]
+    if len(same) != 1:
+        raise InputError(f"unknown object {wanted!r}; valid: {valid}")
+    return same[0]
+
+
+def _intrinsics(camera: CameraConfig) -> Intrinsics:
+    color, _ = camera.MakeCameras()
+    info = color.core().intrinsics()
+    return Intrinsics(
+        width=info.width(),
+        height=info.height(),
+        fx=info.focal_x(),
+        fy=info.focal_y(),
+        cx=info.center_x(),
+        cy=info.center_y(),
+    )

@@ -1,0 +1,46 @@
+"""What can go wrong, as types.
+
+``InputError`` says that what was given cannot be used (exit status 2 of the command). The others
+end an episode: each names the outcome under which it is recorded. A message says what was given,
+what would be valid and what to do next; it needs no traceback to be understood.
+"""
+
+
+class TogError(Exception):
+    """Base of every error that tog_drake raises on purpose."""
+
+
+class InputError(TogError):
+    """What the user gave cannot be used: file, option, scenario or image."""
+
+
+class EpisodeError(TogError):
+    """The pipeline ended without a motion. ``outcome`` is how the episode is recorded."""
+
+    outcome: str
+
+
+class NoGrasp(EpisodeError):
+    """Nothing to grasp: no object in view, no proposal, or none that the arm can carry out."""
+
+    outcome = "no_grasp"
+
+
+class NoFeasibleGrasp(NoGrasp):
+    """Grasps were proposed, but all were rejected. ``rejected`` counts them by reason."""
+
+    def __init__(self, message: str, rejected: dict[str, int]):
+        super().__init__(message)
+        self.rejected = rejected
+
+
+class NoChoice(EpisodeError):
+    """The selector could not decide. It says why instead of guessing."""
+
+    outcome = "no_choice"
+
+
+class NoPlan(EpisodeError):
+    """No motion to the chosen grasp passed the checks."""
+
+    outcome = "no_plan"

@@ -1,0 +1,322 @@
+"""Which of the proposed grasps the robot can carry out, and why not the others.
+
+Decided before any model is asked. A grasp is a straight approach along z_G, closing, and a straight
+lift along z_W; it passes, in this order, the questions of ``REASONS``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import Context, LeafSystem
+
+from tog_drake.distance_field import DistanceField
+from tog_drake.errors import NoFeasibleGrasp, NoGrasp
+from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, gripper_boxes
+from tog_drake.panda_ik import follow_path, inverse_kinematics, within_limits
+from tog_drake.planning_model import BASE_LINK, PlanningModel
+from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
+
+Bools = NDArray[np.bool_]
+Fates = NDArray[np.int64]  # what became of each grasp: the number of a reason, or _FEASIBLE
+
+REASONS = {
+    "table_collision": "would push the hand into the table",
+    "hand_collision": "would push the hand into something that the camera sees",
+    "no_ik": "are out of the arm's reach",
+    "no_approach": "cannot be approached in a straight line",
+    "no_lift": "cannot be lifted in a straight line",
+    "self_collision": "would bring the arm into collision with itself or the table",
+    "arm_collision": "would bring the arm into collision with something that the camera sees",
+}
+"""What a grasp can fail on, in the order of the tests, and how to say it."""
+
+_TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _SELF, _ARM, _FEASIBLE = range(len(REASONS) + 1)
+_HAND_BODIES = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
+_CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
+_APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
+_CHUNK = 16  # grasps at a time against the cloud, so that the arrays stay in the cache
+
+
+@dataclass
+class FeasibilityConfig:
+    """How much room the robot demands."""
+
+    pregrasp_distance: float = 0.10  # [m] from which the hand approaches, along z_G
+    lift_height: float = 0.15  # [m] along z_W; a grasp succeeds from 0.10 m on
+    approach_points: int = 9  # of the straight approach, both ends included
+    lift_points: int = 13
+    max_joint_step: float = 0.10  # [rad] between neighbouring points
+    limit_margin: float = 0.05  # [rad] kept from every joint limit
+    q7_samples: int = 24
+    attempts: int = 5  # configurations tried per grasp, the most convenient first
+    opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
+    hand_tolerance: float = 0.002  # [m] by which points may enter the hand's boxes: depth noise
+    stray_points: int = 2  # that may be inside nevertheless: flying pixels
+    table_clearance: float = 0.001  # [m] of the hand above the table
+    cloud_clearance: float = 0.01  # [m] of the arm from the cloud
+    voxel: float = 0.01  # [m] of the distance field around the cloud
+
+
+def feasible_grasps(
+    grasps: Grasps,
+    cloud: PointCloud,
+    q_now: Array,
+    planning_model: PlanningModel,
+    config: FeasibilityConfig,
+    *,
+    table_height: float = 0.0,
+) -> FeasibleGrasps:
+    """Returns the grasps that can be carried out, in their order, with the paths that do it.
+
+    What happens to one grasp depends on no other grasp.
+
+    Args:
+        grasps: N proposals.
+        cloud: what the camera saw, in W, without table and robot.
+        q_now: (7,) [rad]; configurations near to it are preferred.
+        planning_model: arm, hand and known world.
+        config: the room demanded.
+        table_height: [m] z of the table top in W.
+
+    Raises:
+        NoGrasp: there are no proposals.
+        NoFeasibleGrasp: all were rejected; its message and ``rejected`` say why.
+    """
+    if len(grasps) == 0:
+        raise NoGrasp("no grasp was proposed: show the object better, or use another proposer")
+    points = cloud.xyzs().T[np.isfinite(cloud.xyzs()).all(axis=0)]
+    opening = np.minimum(grasps.width + config.opening_margin, MAX_OPENING)
+    lower, upper = _swept_boxes(opening, config.pregrasp_distance)
+    fate = np.full(len(grasps), _NO_IK)
+    too_wide = grasps.width > MAX_OPENING
+    fate[too_wide | _hits_cloud(grasps.X_WG, lower, upper, points, config)] = _HAND
+    fate[_lowest(grasps.X_WG, lower, upper) < table_height + config.table_clearance] = _TABLE
+
+    rows = np.flatnonzero(fate == _NO_IK)
+    world = _World(planning_model, DistanceField(points, config.voxel), config)
+    fate[rows], q_approach, q_lift = _carry_out(world, grasps.X_WG[rows], opening[rows], q_now)
+
+    rejected = {reason: int((fate == i).sum()) for i, reason in enumerate(REASONS)}
+    if not (fate == _FEASIBLE).any():
+        raise NoFeasibleGrasp(_explain(len(grasps), rejected), rejected)
+    good = fate[rows] == _FEASIBLE
+    kept = grasps.take(rows[good])
+    return FeasibleGrasps(
+        X_WG=kept.X_WG,
+        width=kept.width,
+        score=kept.score,
+        p_WContact=kept.p_WContact,
+        q_approach=q_approach[good],
+        q_lift=q_lift[good],
+        rejected=rejected,
+    )
+
+
+def _explain(proposed: int, rejected: dict[str, int]) -> str:
+    parts = [f"{count} {REASONS[reason]}" for reason, count in rejected.items() if count]
+    return (
+        f"0 of {proposed} grasps can be carried out: {', '.join(parts)}. "
+        "Move the object nearer or clear what surrounds it, or propose more grasps"
+    )
+
+
+def _swept_boxes(opening: Array, retreat: float) -> tuple[Array, Array]:
+    """Returns the boxes of the hand in G, swept along the approach: corners (N, 4, 3) [m].
+
+    The hand backs off along −z_G, so what it sweeps are boxes again.
+    """
+    boxes = np.array([gripper_boxes(float(o)) for o in opening])
+    lower, upper = boxes[:, 0], boxes[:, 1]
+    lower[..., 2] -= retreat
+    return lower, upper
+
+
+def _lowest(X_WG: Array, lower: Array, upper: Array) -> Array:
+    """Returns the least z in W over all corners of each grasp's boxes, (N,) [m]."""
+    down = X_WG[:, None, 2, :3]
+    corner = np.minimum(down * lower, down * upper).sum(axis=-1)
+    return np.asarray(corner.min(axis=-1) + X_WG[:, 2, 3])
+
+
+def _hits_cloud(
+    X_WG: Array, lower: Array, upper: Array, points: Array, config: FeasibilityConfig
+) -> Bools:
+    """Tells which grasps have points inside the hand's boxes, (N,)."""
+    lower = (lower + config.hand_tolerance).astype(np.float32)
+    upper = (upper - config.hand_tolerance).astype(np.float32)
+    p_W = np.ascontiguousarray(points.T, dtype=np.float32)
+    hits = np.zeros(len(X_WG), dtype=bool)
+    for first in range(0, len(X_WG), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        R_GW = np.swapaxes(X_WG[chunk, :3, :3], -1, -2)
+        p_G0 = R_GW @ X_WG[chunk, :3, 3:]
+        p_G = R_GW.astype(np.float32) @ p_W - p_G0.astype(np.float32)  # (n, 3, P)
+        inside = np.zeros((len(p_G), p_W.shape[1]), dtype=bool)
+        for box in range(lower.shape[1]):
+            within = np.ones_like(inside)
+            for axis in range(3):
+                within &= p_G[:, axis] > lower[chunk, box, axis, None]
+                within &= p_G[:, axis] < upper[chunk, box, axis, None]
+            inside |= within
+        hits[chunk] = inside.sum(axis=1) > config.stray_points
+    return hits
+
+
+@dataclass(frozen=True)
+class _World:
+    """What the arm moves in, and how much room it keeps."""
+
+    planning_model: PlanningModel
+    field: DistanceField
+    config: FeasibilityConfig
+
+
+def _carry_out(
+    world: _World, X_WG: Array, opening: Array, q_now: Array
+) -> tuple[Fates, Array, Array]:
+    """Tries several configurations for each of N grasps, the most convenient first.
+
+    Returns:
+        The best that each grasp came to (N,), the approaches (N, A, 7) and the lifts (N, L, 7);
+        these mean something where the grasp is feasible.
+    """
+    config = world.config
+    X_retreat, X_lift = _straight_lines(X_WG, world.planning_model.X_WL0, config)
+    q_grasp = _convenient_configurations(X_lift[:, 0], q_now, config)
+    fate = np.full(len(X_WG), _NO_IK)
+    q_approach = np.full((*X_retreat.shape[:2], 7), np.nan)
+    q_lift = np.full((*X_lift.shape[:2], 7), np.nan)
+    for attempt in range(q_grasp.shape[1]):
+        row = np.flatnonzero((fate < _FEASIBLE) & np.isfinite(q_grasp[:, attempt, 0]))
+        if len(row) == 0:
+            break
+        came_to, q_approach[row], q_lift[row] = _carry_out_from(
+            world, q_grasp[row, attempt], X_retreat[row], X_lift[row], opening[row]
+        )
+        fate[row] = np.maximum(fate[row], came_to)
+    return fate, q_approach, q_lift
+
+
+def _straight_lines(X_WG: Array, X_WL0: Array, config: FeasibilityConfig) -> tuple[Array, Array]:
+    """Returns the poses X_L0H of retreat (N, A, 4, 4) and lift (N, L, 4, 4), from the grasp on."""
+    back = np.linspace(0, -config.pregrasp_distance, config.approach_points)
+    up = np.linspace(0, config.lift_height, config.lift_points)
+    retreat = np.repeat(X_WG[:, None], len(back), axis=1)
+    retreat[..., :3, 3] += back[:, None] * X_WG[:, None, :3, 2]
+    lift = np.repeat(X_WG[:, None], len(up), axis=1)
+    lift[..., 2, 3] += up
+    X_L0W, X_GH = np.linalg.inv(X_WL0), np.linalg.inv(X_HG)
+    return np.asarray(X_L0W @ retreat @ X_GH), np.asarray(X_L0W @ lift @ X_GH)
+
+
+def _convenient_configurations(X_L0H: Array, q_now: Array, config: FeasibilityConfig) -> Array:
+    """Returns good configurations for each pose, (N, attempts, 7), nan where there are fewer.
+
+    Good is near to ``q_now`` and far from the limits.
+    """
+    margin = config.limit_margin
+    q7 = np.linspace(Q_LOWER[6] + margin, Q_UPPER[6] - margin, config.q7_samples)
+    q = inverse_kinematics(X_L0H, q7).reshape(len(X_L0H), -1, 7)
+    crowding = np.abs(q - (Q_LOWER + Q_UPPER) / 2) / ((Q_UPPER - Q_LOWER) / 2)
+    cost = np.linalg.norm(q - q_now, axis=-1) + crowding.max(axis=-1)
+    cost[~within_limits(q, margin)] = np.inf
+    ranking = np.argsort(cost, axis=1, kind="stable")[:, ::_APART][:, : config.attempts]
+    q = np.take_along_axis(q, ranking[..., None], axis=1)
+    q[np.isinf(np.take_along_axis(cost, ranking, axis=1))] = np.nan
+    return q
+
+
+def _carry_out_from(
+    world: _World, q_grasp: Array, X_retreat: Array, X_lift: Array, opening: Array
+) -> tuple[Fates, Array, Array]:
+    """Tries one configuration for each of N grasps; returns what ``_carry_out`` does."""
+    config = world.config
+    room = {"max_step": config.max_joint_step, "limit_margin": config.limit_margin}
+    fate = np.full(len(q_grasp), _NO_APPROACH)
+    q_approach = follow_path(X_retreat, q_grasp, **room)[:, ::-1]
+    q_lift = np.full((*X_lift.shape[:2], 7), np.nan)
+
+    row = np.flatnonzero(np.isfinite(q_approach).all(axis=(1, 2)))
+    fate[row] = _NO_LIFT
+    q_lift[row] = follow_path(X_lift[row], q_grasp[row], **room)
+
+    row = row[np.isfinite(q_lift[row]).all(axis=(1, 2))]
+    fate[row] = _SELF
+    q = np.concatenate([_checked(q_approach[row]), _checked(q_lift[row])[:, 1:]], axis=1)
+    check = world.planning_model.check_configs
+    free = np.array([check(*pair).all() for pair in zip(q, opening[row], strict=True)], dtype=bool)
+
+    row, q = row[free], q[free]
+    fate[row] = np.where(_clear_of_cloud(world, q), _FEASIBLE, _ARM)
+    return fate, q_approach, q_lift
+
+
+def _checked(path: Array) -> Array:
+    """Returns both ends of paths (N, P, 7) and about every eighth point between them."""
+    steps = path.shape[1] - 1
+    return path[:, np.linspace(0, steps, -(-steps // _CHECKED) + 1).round().astype(int)]
+
+
+def _clear_of_cloud(world: _World, q: Array) -> Bools:
+    """Tells which rows of q (N, K, 7), pregrasp first, keep clear of the cloud, (N,).
+
+    The hand counts at the pregrasp alone: nearer to the target, its boxes have been tested. The
+    base cannot move.
+    """
+    p_W, radius, body = world.planning_model.spheres(q.reshape(-1, 7), MAX_OPENING)
+    clear = world.field.distance(p_W) >= radius + world.config.cloud_clearance
+    clear = clear.reshape(*q.shape[:2], len(radius))
+    clear[:, 1:, np.isin(body, _HAND_BODIES)] = True
+    clear[..., np.isin(body, BASE_LINK)] = True
+    return np.asarray(clear.all(axis=(1, 2)))
+
+
+class FeasibilityFilter(LeafSystem):
+    """Keeps the grasps that the robot can carry out.
+
+    .. pydrake_system::
+
+        name: FeasibilityFilter
+        input_ports:
+        - grasps
+        - cloud
+        - panda.position_measured
+        output_ports:
+        - feasible_grasps
+
+    ``feasible_grasps`` is computed once per change of an input.
+    """
+
+    def __init__(
+        self, config: FeasibilityConfig, workspace: Workspace, planning_model: PlanningModel
+    ):
+        super().__init__()
+        self._config = config
+        self._table_height = workspace.table_height
+        self._planning_model = planning_model
+        self._grasps = self.DeclareAbstractInputPort("grasps", Value(Grasps.empty()))
+        self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
+        self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
+        ports = (self._grasps, self._cloud, self._position)
+        none = FeasibleGrasps(**vars(Grasps.empty()))
+        self.DeclareAbstractOutputPort(
+            "feasible_grasps",
+            alloc=lambda: Value(none),
+            calc=self._CalcFeasibleGrasps,
+            prerequisites_of_calc={port.ticket() for port in ports},
+        )
+
+    def _CalcFeasibleGrasps(self, context: Context, output: Value) -> None:
+        output.set_value(
+            feasible_grasps(
+                self._grasps.Eval(context),
+                self._cloud.Eval(context),
+                self._position.Eval(context),
+                self._planning_model,
+                self._config,
+                table_height=self._table_height,
+            )
+        )

@@ -1,0 +1,270 @@
+"""The stages, connected: from one look to a motion."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
+
+from tog_drake.camera import Camera
+from tog_drake.candidates import CandidatePicker, CandidatesConfig
+from tog_drake.cloud import CloudConfig, SceneCloud
+from tog_drake.compliance import PartLabels
+from tog_drake.errors import EpisodeError, InputError
+from tog_drake.executor import ExecutorConfig, GraspExecutor
+from tog_drake.feasibility import FeasibilityConfig, FeasibilityFilter
+from tog_drake.panda import MAX_OPENING
+from tog_drake.planning_model import PlanningModel
+from tog_drake.proposer import GraspProposer, Proposer
+from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
+from tog_drake.selector import GraspSelector, Selector
+from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
+from tog_drake.selectors.geometric import Geometric, GeometricSelector
+from tog_drake.selectors.oracle import Oracle, OracleSelector
+from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer
+from tog_drake.values import (
+    Array,
+    Candidates,
+    Choice,
+    FeasibleGrasps,
+    GraspMotion,
+    Grasps,
+    Intrinsics,
+    View,
+    Workspace,
+)
+
+SelectorConfig = Geometric | TopScore | Random | Oracle
+
+# The stages' ports in the order of the data: each can be evaluated, timed and drawn by itself.
+STAGE_PORTS = (
+    "view",
+    "cloud",
+    "grasps",
+    "feasible_grasps",
+    "candidates",
+    "choice",
+    "motion",
+)
+
+
+@dataclass
+class PipelineConfig:
+    """One entry a stage, in the order of the data."""
+
+    camera: str = "wrist"  # which of the scenario's cameras looks
+    workspace: Workspace = field(default_factory=Workspace)
+    cloud: CloudConfig = field(default_factory=CloudConfig)
+    proposer: Antipodal = field(default_factory=Antipodal)
+    feasibility: FeasibilityConfig = field(default_factory=FeasibilityConfig)
+    candidates: CandidatesConfig = field(default_factory=CandidatesConfig)
+    selector: SelectorConfig = field(default_factory=Geometric)
+    trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
+    executor: ExecutorConfig = field(default_factory=ExecutorConfig)
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What only the oracle may be given: the labelled parts, and which object is meant."""
+
+    labels: PartLabels
+    target: str  # model instance
+
+
+class GraspPipeline(Diagram):
+    """From a camera's images and a task to the commands of arm and hand.
+
+    .. pydrake_system::
+
+        name: GraspPipeline
+        input_ports:
+        - rgb_image
+        - depth_image
+        - X_WC
+        - panda.position_measured
+        - task
+        output_ports:
+        - panda.position
+        - hand.position
+        - view
+        - cloud
+        - grasps
+        - feasible_grasps
+        - candidates
+        - choice
+        - motion
+
+    Every stage's value is exported, to be inspected and timed. With ``!Oracle`` as selector there
+    is one more input, ``cheat.query_object``, which only a simulation can feed.
+    """
+
+    def __init__(
+        self,
+        config: PipelineConfig,
+        *,
+        intrinsics: Intrinsics,
+        planning_model: PlanningModel,
+        seed: int,
+        ground_truth: GroundTruth | None = None,
+    ):
+        super().__init__()
+        builder = DiagramBuilder()
+
+        def add(system: System, name: str) -> System:
+            return builder.AddNamedSystem(name, system)
+
+        camera = add(Camera(intrinsics), "camera")
+        cloud = add(
+            SceneCloud(
+                config.cloud,
+                config.workspace,
+                robot_spheres=lambda q: _spheres(planning_model, q),
+            ),
+            "cloud",
+        )
+        proposer = add(GraspProposer(make_proposer(config, seed)), "proposer")
+        feasibility = add(
+            FeasibilityFilter(config.feasibility, config.workspace, planning_model), "feasibility"
+        )
+        candidates = add(CandidatePicker(config.candidates, seed=seed), "candidates")
+        selector = add(_make_selector_system(config, seed, ground_truth), "selector")
+        trajectory = add(
+            TrajectoryOptimizer(config.trajectory, planning_model, seed=seed), "trajectory"
+        )
+        self.executor: GraspExecutor = add(GraspExecutor(config.executor), "executor")
+
+        stages = (camera, cloud, proposer, feasibility, candidates, selector, trajectory)
+        outputs = {
+            name: stage.GetOutputPort(name) for name, stage in zip(STAGE_PORTS, stages, strict=True)
+        }
+        exported: dict[str, bool] = {}
+        for stage in (*stages, self.executor):
+            for i in range(stage.num_input_ports()):
+                port: InputPort = stage.get_input_port(i)
+                name = port.get_name()
+                if name in outputs:
+                    builder.Connect(outputs[name], port)
+                elif name in exported:
+                    builder.ConnectInput(name, port)
+                else:
+                    builder.ExportInput(port, name)
+                    exported[name] = True
+        for name, output in outputs.items():
+            builder.ExportOutput(output, name)
+        for name in ("panda.position", "hand.position"):
+            builder.ExportOutput(self.executor.GetOutputPort(name), name)
+        builder.BuildInto(self)
+        self.set_name("pipeline")
+
+
+def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
+    """Returns the proposer that the scenario asks for."""
+    return AntipodalProposer(config.proposer, config.workspace, seed)
+
+
+def make_selector(config: PipelineConfig, seed: int) -> Selector:
+    """Returns the selector that the scenario asks for.
+
+    Raises:
+        InputError: if it is the oracle, which is no Selector: it needs simulated labels.
+    """
+    match config.selector:
+        case Geometric():
+            return GeometricSelector(config.selector, config.workspace)
+        case TopScore():
+            return TopScoreSelector()
+        case Random():
+            return RandomSelector(seed=seed)
+        case Oracle():
+            raise InputError(
+                "selector oracle reads simulated part labels, and there are none here; "
+                "valid: geometric, top-score, random"
+            )
+
+
+def _make_selector_system(
+    config: PipelineConfig, seed: int, ground_truth: GroundTruth | None
+) -> System:
+    if isinstance(config.selector, Oracle) and ground_truth is not None:
+        return OracleSelector(ground_truth.labels, ground_truth.target)
+    return GraspSelector(make_selector(config, seed))
+
+
+def _spheres(planning_model: PlanningModel, q: Array) -> tuple[Array, Array]:
+    """The robot's spheres at q (7,), hand open: centres (S, 3) and radii (S,) [m] in W."""
+    centres, radii, _ = planning_model.spheres(np.asarray(q)[None], MAX_OPENING)
+    return centres[0], radii
+
+
+def connect_to_station(
+    builder: DiagramBuilder, station: Diagram, pipeline: GraspPipeline, camera: str
+) -> None:
+    """Connects a pipeline to a station, simulated or real: the names of their ports agree.
+
+    The station's ``{camera}.rgb_image`` feeds the pipeline's ``rgb_image``, and so on; ``task`` is
+    exported from the diagram that is being built.
+
+    Raises:
+        InputError: if the station lacks a port that the pipeline needs.
+    """
+    for i in range(pipeline.num_input_ports()):
+        port = pipeline.get_input_port(i)
+        name = port.get_name()
+        if name == "task":
+            builder.ExportInput(port, "task")
+            continue
+        source = f"{camera}.{name}" if name in ("rgb_image", "depth_image", "X_WC") else name
+        if not station.HasOutputPort(source):
+            raise InputError(
+                f"the {station.get_name()} has no output {source}; it has "
+                + ", ".join(
+                    station.get_output_port(k).get_name() for k in range(station.num_output_ports())
+                )
+            )
+        builder.Connect(station.GetOutputPort(source), port)
+    for name in ("panda.position", "hand.position"):
+        builder.Connect(pipeline.GetOutputPort(name), station.GetInputPort(name))
+
+
+# The name under which each stage's wall time is recorded, in the order of STAGE_PORTS.
+STAGE_SECONDS = ("render", "cloud", "propose", "filter", "candidates", "select", "plan")
+
+
+@dataclass
+class Decision:
+    """What the stages said in one look, in order; None from the stage on that failed."""
+
+    view: View | None = None
+    cloud: PointCloud | None = None
+    grasps: Grasps | None = None
+    feasible_grasps: FeasibleGrasps | None = None
+    candidates: Candidates | None = None
+    choice: Choice | None = None
+    motion: GraspMotion | None = None
+    error: EpisodeError | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def decide(pipeline: GraspPipeline, context: Context) -> Decision:
+    """Evaluates the stages one by one, with the wall time of each.
+
+    Drake caches each value, so that an executor that looks at the same time gets the same motion
+    without computing it again.
+
+    Args:
+        pipeline: the pipeline.
+        context: the root Context of the diagram that holds it.
+    """
+    mine = pipeline.GetMyContextFromRoot(context)
+    decision = Decision()
+    for port, label in zip(STAGE_PORTS, STAGE_SECONDS, strict=True):
+        start = time.perf_counter()
+        try:
+            setattr(decision, port, pipeline.GetOutputPort(port).Eval(mine))
+        except EpisodeError as error:
+            decision.error = error
+            break
+        finally:
+            decision.seconds[label] = time.perf_counter() - start
+    return decision

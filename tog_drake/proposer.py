@@ -1,0 +1,62 @@
+"""From the cloud to grasps. How they are found is behind the ``Proposer`` protocol."""
+
+from typing import Protocol
+
+from pydrake.common.value import Value
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import Context, LeafSystem
+
+from tog_drake.errors import NoGrasp
+from tog_drake.values import Grasps
+
+
+class Proposer(Protocol):
+    """Proposes grasps on whatever a cloud shows. It knows neither the objects nor the task."""
+
+    def propose(self, cloud: PointCloud) -> Grasps:
+        """Returns grasps, best first, possibly none.
+
+        Args:
+            cloud: in W, without table and robot, with normals towards the camera.
+        """
+        ...
+
+
+class GraspProposer(LeafSystem):
+    """Proposes grasps on whatever the cloud shows.
+
+    .. pydrake_system::
+
+        name: GraspProposer
+        input_ports:
+        - cloud
+        output_ports:
+        - grasps
+
+    ``grasps`` is computed once per ``cloud``.
+
+    Raises:
+        NoGrasp: the proposer found none.
+    """
+
+    def __init__(self, proposer: Proposer):
+        super().__init__()
+        self._proposer = proposer
+        self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
+        self.DeclareAbstractOutputPort(
+            "grasps",
+            alloc=lambda: Value(Grasps.empty()),
+            calc=self._CalcGrasps,
+            prerequisites_of_calc={self._cloud.ticket()},
+        )
+
+    def _CalcGrasps(self, context: Context, output: Value) -> None:
+        cloud = self._cloud.Eval(context)
+        grasps = self._proposer.propose(cloud)
+        if len(grasps) == 0:
+            raise NoGrasp(
+                f"no grasp proposed on the {cloud.size()} points of the cloud: what is in view may "
+                "be wider than the hand opens, lower than the fingertips reach, or walled in; "
+                "move it, or look from elsewhere"
+            )
+        output.set_value(grasps)

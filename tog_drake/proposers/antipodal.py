@@ -1,0 +1,413 @@
+"""Grasps by geometry alone: two fingers on opposite sides of what the camera saw.
+
+At points spread over the cloud (*anchors*) the hand is tried in many orientations. For each, the
+slab of points that the fingers would sweep is reduced to a *profile*: how far along the approach
+the first surface lies, for every 4 mm of the closing direction. On the profile one walks from the
+anchor outwards until there is room for a finger; that gives the width, and re-centres the hand.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.perception import PointCloud
+from scipy.spatial import cKDTree
+
+from tog_drake.panda import (
+    FINGER_THICKNESS,
+    FINGERTIP_Z,
+    MAX_OPENING,
+    PAD_WIDTH,
+    PALM_Z,
+    gripper_boxes,
+)
+from tog_drake.points import Rows, clusters, group_means, neighbors, voxel_numbers
+from tog_drake.values import Array, Grasps, Workspace
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass
+class Antipodal:
+    """How densely to search and what counts as a good grasp."""
+
+    voxel: float = 0.004  # [m] resolution at which the cloud is searched
+    anchor_spacing: float = 0.010  # [m] between anchors
+    max_anchors: int = 80  # spread over the cloud when there would be more
+    yaws: int = 8  # closing directions over half a turn, the first across the local shape
+    tilts_deg: list[float] = field(default_factory=lambda: [20.0, 40.0, 60.0])  # besides vertical
+    depths: list[float] = field(default_factory=lambda: [0.012, 0.022, 0.032, 0.042])
+    """[m] of the fingertips below the anchor, along the approach; the table may allow less."""
+    min_depth: float = 0.005  # [m] of the fingertips below the top of what is gripped
+    bin: float = 0.004  # [m] of the profile along the closing direction
+    max_gap: float = 0.012  # [m] an empty stretch up to this does not end an object
+    max_width: float = 0.072  # [m] between the contacts; the hand opens to 0.08
+    opening_margin: float = 0.040  # [m] the hand arrives open this much wider, if it can
+    table_clearance: float = 0.0035  # [m] between the hand and the table
+    clearance: float = 0.002  # [m] between the open hand and every point
+    per_anchor: int = 16  # best grasps of each anchor that are checked exactly
+    max_grasps: int = 300  # returned
+
+
+class AntipodalProposer:
+    """Proposes antipodal grasps on a single-view cloud (a ``Proposer``).
+
+    The hand is symmetric under a half turn about its approach; only one of each such pair of
+    grasps is returned. What the camera did not see is neither trusted nor avoided.
+
+    Args:
+        seed: shifts the grid of anchors. The order of the cloud's points does not matter.
+    """
+
+    def __init__(self, config: Antipodal, workspace: Workspace, seed: int):
+        self._config = config
+        self._table = workspace.table_height
+        self._seed = seed
+
+    def propose(self, cloud: PointCloud) -> Grasps:
+        """Returns at most ``max_grasps`` grasps, best first, possibly none."""
+        if cloud.size() == 0:
+            return Grasps.empty()
+        config = self._config
+        surface = _surface(cloud, config.voxel)
+        anchor = _anchors(surface, config, np.random.default_rng(self._seed))
+        tries = _tries(surface, anchor, config)
+        sweep = _sweep(surface, tries, max(config.depths) + config.clearance)
+        grips = _walk(surface, tries, sweep, config, self._table)
+        found = _measure(surface, tries, sweep, grips, config)
+        return _best_free(found, surface, config, self._table)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The cloud, thinned."""
+
+    point: Array  # (N, 3) [m]
+    normal: Array  # (N, 3)
+    thing: Rows  # (N,) which connected thing each point belongs to
+    centroid: Array  # (T, 3) [m] of each thing
+    tree: cKDTree
+
+
+def _surface(cloud: PointCloud, voxel: float) -> _Surface:
+    point, normal = cloud.xyzs().T.astype(np.float64), cloud.normals().T.astype(np.float64)
+    order = np.lexsort(point.T)  # so that sums do not depend on the order of the points
+    point, normal = point[order], normal[order]
+    number = voxel_numbers(point, voxel)
+    point, normal = group_means(number, point), group_means(number, normal)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
+    thing = clusters(neighbors(point, 12), 2.5 * voxel)
+    return _Surface(point, normal, thing, group_means(thing, point), cKDTree(point))
+
+
+def _anchors(surface: _Surface, config: Antipodal, rng: np.random.Generator) -> Rows:
+    """The rows of the points to grasp at: one per grid cell, spread over the cloud."""
+    shifted = surface.point + rng.uniform(0, config.anchor_spacing, 3)
+    cell = voxel_numbers(shifted, config.anchor_spacing)
+    middle = group_means(cell, surface.point)
+    row: Rows = np.unique(surface.tree.query(middle)[1]).astype(np.int64)
+    if len(row) <= config.max_anchors:
+        return row
+    # Farthest-point sampling, in which distances count more where there is little surface around:
+    # a shaft or a rim gets more anchors than its area would earn.
+    count = surface.tree.query_ball_point(surface.point[row], 0.02, return_length=True)
+    weight = np.sqrt(count.max() / count)
+    picked = [int(np.argmax(weight))]
+    distance = np.full(len(row), np.inf)
+    while len(picked) < config.max_anchors:
+        step = np.linalg.norm(surface.point[row] - surface.point[row[picked[-1]]], axis=1)
+        distance = np.minimum(distance, step)
+        picked.append(int(np.argmax(distance * weight)))
+    return np.sort(row[picked])
+
+
+@dataclass(frozen=True)
+class _Tries:
+    """H hands, each with its origin at an anchor, before depth and centre are known."""
+
+    anchor: Rows  # (H,) rows of the surface
+    R_WG: Array  # (H, 3, 3)
+    per_anchor: int  # the tries of one anchor are consecutive
+
+
+def _tries(surface: _Surface, anchor: Rows, config: Antipodal) -> _Tries:
+    lean = _leans(np.radians(config.tilts_deg))  # (L, 3, 3)
+    across = np.array([_across(surface, row) for row in anchor])  # (A,)
+    yaw = across[:, None] + np.arange(config.yaws) * np.pi / config.yaws  # (A, Y)
+    c, s, o = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    # Columns x, y (closing), z (approach) of a hand that points straight down.
+    down = np.stack([np.stack(v, -1) for v in ([-s, c, o], [c, s, o], [o, o, o - 1])], -1)
+    R_WG = down[:, :, None] @ lean  # (A, Y, L, 3, 3)
+    per_anchor = R_WG.shape[1] * R_WG.shape[2]
+    return _Tries(np.repeat(anchor, per_anchor), R_WG.reshape(-1, 3, 3), per_anchor)
+
+
+def _leans(tilt: Array) -> Array:
+    """Rotations of the hand away from the vertical, (L, 3, 3).
+
+    About the closing axis y by every tilt, so that both fingers stay level; about x, which lowers
+    one finger, by tilts up to 45° only.
+    """
+    lean = [np.eye(3)]
+    for t in np.concatenate([tilt, -tilt]):
+        c, s = np.cos(t), np.sin(t)
+        lean.append(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
+        if abs(t) < np.pi / 4:
+            lean.append(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+    return np.array(lean)
+
+
+def _across(surface: _Surface, row: np.int64) -> float:
+    """The horizontal direction [rad] across the longest extent of what is around a point."""
+    around = surface.point[surface.tree.query_ball_point(surface.point[row], 0.025)][:, :2]
+    spread = around - around.mean(axis=0)
+    x, y = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+    return float(np.arctan2(y, x))
+
+
+@dataclass(frozen=True)
+class _Sweep:
+    """E pairs of a try and a point in its slab: |x| < half a pad, in G's axes at the anchor."""
+
+    attempt: Rows  # (E,) ascending
+    row: Rows  # (E,) of the surface
+    x: Array  # (E,) [m]
+    y: Array  # (E,) [m]
+    z: Array  # (E,) [m]
+
+
+REACH = 0.10  # [m] half the span of the profile: half a palm
+SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of the slab: what a finger may touch
+
+
+def _sweep(surface: _Surface, tries: _Tries, deepest: float) -> _Sweep:
+    """All points that the hands of ``tries`` could touch when their tips go ``deepest`` [m]."""
+    sweeps = []
+    for start in range(0, len(tries.anchor), tries.per_anchor):
+        R_GW = tries.R_WG[start : start + tries.per_anchor].transpose(2, 0, 1)  # rows by axis
+        origin = surface.point[tries.anchor[start]]
+        row = np.array(surface.tree.query_ball_point(origin, 1.1 * REACH, return_sorted=True))
+        p = (surface.point[row] - origin).T.astype(np.float32)  # single precision: twice as fast
+        x, y, z = (R_GW.reshape(-1, 3).astype(np.float32) @ p).reshape(3, -1)  # (tries · points,)
+        e = np.flatnonzero((np.abs(x) < SLAB) & (z < deepest))
+        attempt, point = np.divmod(e, len(row))
+        sweeps.append((attempt + start, row[point], x[e], y[e], z[e]))
+    attempt, row, x, y, z = (np.concatenate(column) for column in zip(*sweeps, strict=True))
+    return _Sweep(attempt, row, x, y, z)
+
+
+@dataclass(frozen=True)
+class _Grips:
+    """K combinations of a try and a depth at which the fingers have room."""
+
+    attempt: Rows  # (K,)
+    tip: Array  # (K,) [m] of the fingertips beyond the anchor, along z
+    low: Array  # (K,) [m] end of the gripped stretch along y, to within a bin
+    high: Array  # (K,) [m] the other end
+
+
+def _walk(
+    surface: _Surface, tries: _Tries, sweep: _Sweep, config: Antipodal, table: float
+) -> _Grips:
+    """Walks over the profiles from the anchors outwards, at each depth."""
+    profile = _profiles(len(tries.anchor), sweep, config.bin)
+    lowest = _lowest_tip(surface, tries, table + config.table_clearance)
+    found = []
+    tip_before = np.full(len(lowest), -np.inf)
+    for depth in config.depths:
+        tip = np.minimum(depth, lowest)
+        attempt = np.flatnonzero((tip > 0.001) & (tip > tip_before + 0.002))
+        tip_before = tip
+        low, high, fits = _walk_outwards(profile[attempt], tip[attempt], config)
+        found.append(
+            _Grips(attempt[fits], tip[attempt][fits], low[fits], high[fits]),
+        )
+    return _Grips(
+        *(np.concatenate([getattr(g, name) for g in found]) for name in _Grips.__annotations__)
+    )
+
+
+def _profiles(count: int, sweep: _Sweep, bin_size: float) -> Array:
+    """For each try, z [m] of the first surface along the approach in each bin of y; inf if none.
+
+    The middle bin is centred on the anchor. Returns (H, B).
+    """
+    half = int(REACH / bin_size)
+    column = np.rint(sweep.y / bin_size).astype(np.int64) + half
+    inside = (column >= 0) & (column <= 2 * half)
+    profile = np.full(count * (2 * half + 1), np.inf, dtype=sweep.z.dtype)  # else `at` is slow
+    cell = sweep.attempt[inside] * (2 * half + 1) + column[inside]
+    np.minimum.at(profile, cell, sweep.z[inside])
+    return profile.reshape(count, -1)
+
+
+def _lowest_tip(surface: _Surface, tries: _Tries, floor: float) -> Array:
+    """How far beyond the anchor along z (H,) [m] the tips of the open hand stay above ``floor``."""
+    x_z, y_z, z_z = np.moveaxis(tries.R_WG[:, 2, :], -1, 0)
+    side = np.abs(x_z) * 0.011 + np.abs(y_z) * (MAX_OPENING / 2 + FINGER_THICKNESS)
+    return np.asarray((surface.point[tries.anchor, 2] - side - floor) / -z_z)
+
+
+def _walk_outwards(profile: Array, tip: Array, config: Antipodal) -> tuple[Array, Array, Mask]:
+    """Where what is around the anchor ends on both sides, and whether the fingers have room there.
+
+    Args:
+        profile: (H, B) [m].
+        tip: (H,) [m] of the fingertips; what lies deeper is not in the way.
+
+    Returns:
+        Low and high end along y (H,) [m]; whether a grasp is possible (H,).
+    """
+    middle = profile.shape[1] // 2
+    occupied = profile < tip[:, None]
+    blocked = profile < tip[:, None] + config.clearance
+    right, room_right = _end(occupied[:, middle:], blocked[:, middle:], config)
+    left, room_left = _end(occupied[:, middle::-1], blocked[:, middle::-1], config)
+    width = (left + right + 1) * config.bin  # up to a bin too much
+    column = np.arange(profile.shape[1]) - middle
+    gripped = (column >= -left[:, None]) & (column <= right[:, None])
+    top = np.min(np.where(gripped, profile, np.inf), axis=1)
+    needed = (np.minimum(width + config.opening_margin, MAX_OPENING) - width) / 2 + FINGER_THICKNESS
+    fits = (width <= config.max_width + config.bin) & occupied[:, middle]
+    fits &= np.minimum(room_left, room_right) + config.bin >= needed
+    fits &= tip - top >= config.min_depth
+    fits &= profile.min(axis=1) > tip - (FINGERTIP_Z - PALM_Z) + config.clearance
+    return -(left + 0.5) * config.bin, (right + 0.5) * config.bin, fits
+
+
+def _end(occupied: Mask, blocked: Mask, config: Antipodal) -> tuple[Rows, Array]:
+    """Where the stretch that starts in column 0 ends, (H,), and the room beyond it, (H,) [m]."""
+    gap = round(config.max_gap / config.bin) + 1
+    columns = occupied.shape[1]
+    count = np.cumsum(np.pad(occupied, ((0, 0), (1, gap))), axis=1, dtype=np.int32)
+    last = occupied & (count[:, gap + 1 :][:, :columns] == count[:, 1 : columns + 1])
+    end = np.argmax(last, axis=1)
+    beyond = blocked & (np.arange(columns) > end[:, None])
+    next_blocked = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), columns + 100)
+    return end, (next_blocked - end - 1) * config.bin
+
+
+@dataclass(frozen=True)
+class _Found(Grasps):
+    anchor: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,) rows of the surface."""
+
+
+def _measure(
+    surface: _Surface, tries: _Tries, sweep: _Sweep, grips: _Grips, config: Antipodal
+) -> _Found:
+    """Exact width, centre, contact and score of each grip; those across two things are dropped."""
+    count = len(grips.attempt)
+    grip, e = _points_between(sweep, grips)
+    y, row = sweep.y[e], sweep.row[e]
+    start = np.searchsorted(grip, np.arange(count))  # every grip holds at least its anchor
+    high, low = np.maximum.reduceat(y, start), np.minimum.reduceat(y, start)
+    top = np.minimum.reduceat(sweep.z[e], start)
+
+    anchor, R_WG = tries.anchor[grips.attempt], tries.R_WG[grips.attempt]
+    towards_y = np.einsum("ei,ei->e", surface.normal[row], R_WG[grip, :, 1])
+    facing_high = _facing(towards_y, grip, y > high[grip] - 0.005, count)
+    facing_low = _facing(-towards_y, grip, y < low[grip] + 0.005, count)
+    contact = np.empty(count, dtype=np.int64)
+    at_contact = y == np.where(facing_high >= facing_low, high, low)[grip]
+    contact[grip[at_contact]] = row[at_contact]
+
+    X_WG = np.tile(np.eye(4), (count, 1, 1))
+    X_WG[:, :3, :3] = R_WG
+    offset = np.stack([np.zeros(count), (high + low) / 2, grips.tip - FINGERTIP_Z], axis=-1)
+    X_WG[:, :3, 3] = surface.point[anchor] + np.einsum("nij,nj->ni", R_WG, offset)
+    width = high - low
+    centroid = surface.centroid[surface.thing[anchor]]
+    score = (
+        0.40 * (facing_high + facing_low) / 2
+        + 0.20 * np.minimum((grips.tip - top) / 0.025, 1)
+        + 0.12 * (1 - np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)) / (np.pi / 2))
+        + 0.10 * _covered(sweep.x[e], grip, count)
+        + 0.12 * np.exp(-((np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1) / 0.08) ** 2))
+        + 0.06 * np.clip((config.max_width - width) / 0.02, 0, 1)
+    )
+    foreign = surface.thing[row] != surface.thing[anchor][grip]
+    single = (np.bincount(grip[foreign], minlength=count) == 0) & (width <= config.max_width)
+    found = _Found(X_WG, width, score, surface.point[contact], anchor)
+    return found.take(np.flatnonzero(single))
+
+
+def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
+    """The pairs of a grip and a row of the sweep that lies between its fingers, by grip."""
+    first = np.searchsorted(sweep.attempt, grips.attempt, side="left")
+    length = np.searchsorted(sweep.attempt, grips.attempt, side="right") - first
+    grip = np.repeat(np.arange(len(first)), length)
+    e = np.arange(len(grip)) - np.repeat(np.cumsum(length) - length, length) + first[grip]
+    y = sweep.y[e]
+    between = (y >= grips.low[grip]) & (y <= grips.high[grip]) & (sweep.z[e] < grips.tip[grip])
+    return grip[between], e[between]
+
+
+def _facing(towards: Array, grip: Rows, at_end: Mask, count: int) -> Array:
+    """How well the surface at one finger faces it, in [0, 1], (K,); 0.5 where it was not seen.
+
+    Args:
+        towards: (E,) cosine between the surface's normal and the direction to the finger.
+        grip: (E,) which grip each belongs to.
+        at_end: (E,) whether the point is where the finger touches.
+    """
+    seen = at_end & (towards > 0.3)
+    seen_count = np.bincount(grip[seen], minlength=count)
+    all_count = np.bincount(grip[at_end], minlength=count)
+    mean = np.bincount(grip[seen], towards[seen], minlength=count) / np.maximum(seen_count, 1)
+    return np.where(seen_count >= 0.25 * all_count, mean, 0.5)
+
+
+def _covered(x: Array, grip: Rows, count: int) -> Array:
+    """The share of the pads' width along which there is something to hold, (K,)."""
+    bins = 5
+    column = np.clip((x / SLAB + 1) / 2 * bins, 0, bins - 1).astype(np.int64)
+    covered = np.zeros(count * bins)
+    covered[grip * bins + column] = 1
+    return np.asarray(covered.reshape(count, bins).mean(axis=1))
+
+
+def _best_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Grasps:
+    """The grasps at which the open hand is free, the best of every anchor first in line."""
+    order = np.lexsort((-found.score, _rank(found)))
+    chosen = np.zeros(0, dtype=np.int64)
+    step = max(1, 200_000 // len(surface.point))  # what fits the cache
+    for start in range(0, len(order), step):
+        batch = order[start : start + step]
+        chosen = np.concatenate(
+            [chosen, batch[_is_free(found.take(batch), surface, config, table)]]
+        )
+        if len(chosen) >= config.max_grasps:
+            break
+    chosen = chosen[: config.max_grasps]
+    best = chosen[np.argsort(-found.score[chosen], kind="stable")]
+    return Grasps(*(getattr(found, name)[best] for name in Grasps.__annotations__))
+
+
+def _rank(found: _Found) -> Rows:
+    """The place of each grasp among those of its anchor, by score, from 0."""
+    order = np.lexsort((-found.score, found.anchor))
+    anchor = found.anchor[order]
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - np.searchsorted(anchor, anchor)
+    return rank
+
+
+def _is_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Mask:
+    """Whether the open hand touches neither the table nor a point, (N,)."""
+    opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
+    box = np.array([gripper_boxes(float(o)) for o in opening])  # (N, lower and upper, 4, 3)
+    R_WG, p_WG = found.X_WG[:, :3, :3], found.X_WG[:, :3, 3]
+    middle = np.einsum("nbi,ni->nb", box.mean(axis=1), R_WG[:, 2]) + p_WG[:, 2:]
+    drop = np.einsum("nbi,ni->nb", np.diff(box, axis=1)[:, 0] / 2, np.abs(R_WG[:, 2]))
+    free = np.asarray(np.all(middle - drop >= table + config.table_clearance - 1e-9, axis=1))
+    lower, upper = box[:, 0] - config.clearance, box[:, 1] + config.clearance
+    p_G = np.einsum("nji,pj->nip", R_WG, surface.point, optimize=True)
+    p_G -= np.einsum("nji,nj->ni", R_WG, p_WG)[..., None]
+    for b in range(box.shape[2]):
+        low, high = lower[:, b, :, None], upper[:, b, :, None]
+        inside = (p_G[:, 0] > low[:, 0]) & (p_G[:, 0] < high[:, 0])
+        for i in (1, 2):
+            inside &= (p_G[:, i] > low[:, i]) & (p_G[:, i] < high[:, i])
+        free &= ~inside.any(axis=1)
+    return free

@@ -1,0 +1,157 @@
+"""The record of an episode: the content of ``episode.json`` and of ``--json``."""
+
+import re
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any, TypedDict
+
+from tog_drake.errors import NoFeasibleGrasp
+from tog_drake.pipeline import Decision, PipelineConfig
+
+SCHEMA = "tog_drake/episode/1"
+"""Name and version; the number changes when a field changes its meaning or goes away."""
+
+
+class ChoiceRecord(TypedDict):
+    """What the selector decided."""
+
+    index: int  # row among the feasible grasps, best first
+    part: str | None  # the part that the selector believes to hold
+    reason: str
+    status: str  # "ok", or what the selector could not resolve
+    pixel: list[float] | None  # [u, v] of the contact point in the view
+    score: float  # the proposer's confidence
+    width: float  # [m] between the contacts
+
+
+class EpisodeRecord(TypedDict):
+    """One episode, or one choice on a saved view (then what needs a robot is null)."""
+
+    schema: str
+    version: str  # of tog_drake
+    task: str
+    object: str | None  # the one that the task is about (model instance); the judge's target
+    scenario: str | None
+    seed: int
+    proposer: dict[str, Any]  # {"kind": ..., its settings}
+    selector: dict[str, Any]  # {"kind": ..., its settings}
+    counts: dict[str, int | None]  # points, proposed, feasible, candidates
+    rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
+    choice: ChoiceRecord | None
+    outcome: str  # see OUTCOMES
+    message: str | None  # why it ended early
+    grasp_success: bool | None  # lifted by 0.10 m and held for 2 s
+    task_compliance: bool | None  # held by a part that the task allows; null where it says none
+    combined_success: bool | None
+    held: dict[str, float]  # part -> share of the pads' force at lift-off
+    allowed: list[str] | None  # parts that the task allows, by the object's labels
+    lift: float | None  # [m] how high the object was at the end
+    motion: dict[str, Any] | None  # duration [s], phases [s], note
+    seconds: dict[str, float | None]  # wall time of each stage; decide = cloud .. plan
+    sim: dict[str, float | None]  # seconds (simulated), real_time_rate (of the execution)
+
+
+OUTCOMES = {
+    "lifted": "lifted by at least 0.10 m and held for 2 s",
+    "empty": "the fingers closed on nothing",
+    "slipped": "grasped, but it slipped out before it was lifted by 0.10 m",
+    "dropped": "lifted by 0.10 m, then lost",
+    "no_grasp": "nothing to grasp, or nothing that the arm can carry out",
+    "no_choice": "the selector could not decide",
+    "no_plan": "no motion to the chosen grasp passed the checks",
+    "collision": "the arm hit something it knew of, or no longer followed its command",
+    "chosen": "a grasp was chosen on a saved view; nothing was executed",
+}
+
+
+def new_record(
+    decision: Decision, config: PipelineConfig, *, task: str, seed: int
+) -> EpisodeRecord:
+    """Returns the record of a decision; what only an execution can tell is null."""
+    grasps, feasible, error = decision.grasps, decision.feasible_grasps, decision.error
+    rejected = feasible.rejected if feasible is not None else {}
+    if isinstance(error, NoFeasibleGrasp):
+        rejected = error.rejected
+    counts: dict[str, int | None] = {
+        "points": None if decision.cloud is None else decision.cloud.size(),
+        "proposed": None if grasps is None else len(grasps),
+        "feasible": None if feasible is None else len(feasible),
+        "candidates": None if decision.candidates is None else len(decision.candidates),
+    }
+    if isinstance(error, NoFeasibleGrasp):
+        counts["feasible"] = 0
+    failed = error is not None
+    seconds: dict[str, float | None] = dict(decision.seconds)
+    seconds["decide"] = sum(s for stage, s in decision.seconds.items() if stage != "render")
+    seconds["execute"] = None
+    return EpisodeRecord(
+        schema=SCHEMA,
+        version=version("tog_drake"),
+        task=task,
+        object=None,
+        scenario=None,
+        seed=seed,
+        proposer=_kind_and_settings(config.proposer),
+        selector=_kind_and_settings(config.selector),
+        counts=counts,
+        rejected=dict(rejected),
+        choice=_choice_record(decision),
+        outcome=error.outcome if error is not None else "chosen",
+        message=str(error) if error is not None else None,
+        grasp_success=False if failed else None,
+        task_compliance=False if failed else None,
+        combined_success=False if failed else None,
+        held={},
+        allowed=None,
+        lift=None,
+        motion=_motion_record(decision),
+        seconds=seconds,
+        sim={"seconds": None, "real_time_rate": None},
+    )
+
+
+def _kind_and_settings(config: Any) -> dict[str, Any]:
+    """A tag such as TopScore becomes "top-score", as the command spells it."""
+    kind = re.sub(r"(?<!^)(?=[A-Z])", "-", type(config).__name__).lower()
+    return {"kind": kind, **asdict(config)}
+
+
+def _choice_record(decision: Decision) -> ChoiceRecord | None:
+    choice = decision.choice
+    if choice is None:
+        return None
+    return ChoiceRecord(
+        index=choice.index,
+        part=choice.part,
+        reason=choice.reason,
+        status=choice.status,
+        pixel=None if choice.pixel is None else [round(c, 2) for c in choice.pixel],
+        score=float(choice.grasp.score[0]),
+        width=float(choice.grasp.width[0]),
+    )
+
+
+def _motion_record(decision: Decision) -> dict[str, Any] | None:
+    motion = decision.motion
+    if motion is None:
+        return None
+    return {"duration": motion.duration, "phases": motion.phase_times, "note": motion.note}
+
+
+def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float | None]]:
+    """Returns stage, how many came out of it, and its wall time [s], in the order of the data."""
+    counts, seconds = record["counts"], record["seconds"]
+    sizes = {
+        "cloud": ("points", "points"),
+        "propose": ("proposed", "grasps"),
+        "filter": ("feasible", "feasible"),
+        "candidates": ("candidates", "candidates"),
+    }
+    rows: list[tuple[str, str, float | None]] = []
+    for stage, time in seconds.items():
+        if stage == "execute" and time is None:
+            continue
+        key, noun = sizes.get(stage, ("", ""))
+        count = counts.get(key)
+        rows.append((stage, "" if count is None else f"{count} {noun}", time))
+    return rows

@@ -1,0 +1,189 @@
+"""Writes what happened in one or a few episodes as one HTML file that needs nothing else.
+
+The page loads nothing from anywhere: images are data URLs, and each Meshcat replay is carried
+compressed and unpacked only when somebody opens it. Task, reason and every other text came from
+outside (a user, a model) and is escaped; a content security policy forbids all requests besides.
+"""
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from numpy.typing import NDArray
+
+from tog_drake.files import write_atomically
+from tog_drake.selectors.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
+from tog_drake.values import GraspMotion, View
+
+# The stages in the order of the data: key in the record's ``seconds``, and what it says.
+STAGES = {
+    "render": "render the image",
+    "cloud": "image to cloud",
+    "propose": "propose grasps",
+    "filter": "check feasibility",
+    "candidates": "pick candidates",
+    "select": "choose for the task",
+    "plan": "plan the motion",
+}
+FUNNEL = {
+    "points": "points of the cloud",
+    "proposed": "grasps proposed",
+    "feasible": "feasible for the arm",
+    "candidates": "candidates shown",
+}
+
+
+@dataclass(frozen=True)
+class EpisodeReport:
+    """One episode as the report shows it. What is None, because a stage failed, is left out."""
+
+    record: Mapping[str, Any]  # the content of episode.json
+    view: View | None = None  # what the robot saw
+    decision: NDArray[np.uint8] | None = None  # (H, W, 3) see drawing.decision_image
+    motion: GraspMotion | None = None  # as planned
+    replay: str | None = None  # see visualization.replay_html
+
+
+def write_report(
+    path: Path, episodes: Sequence[EpisodeReport], *, title: str = "Grasping by task"
+) -> None:
+    """Writes the report to ``path``, whole or not at all.
+
+    Two episodes at 640×480 with replays take about 4 MB.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_atomically(path, report_html(episodes, title=title))
+
+
+def report_html(episodes: Sequence[EpisodeReport], *, title: str = "Grasping by task") -> str:
+    """Returns the report as the text of a page."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(words=_words, milliseconds=_milliseconds)
+    return environment.get_template("report.html.j2").render(
+        title=title,
+        episodes=[_page_of(episode) for episode in episodes],
+        funnel=FUNNEL,
+        hole_color="#{:02x}{:02x}{:02x}".format(*HOLE_COLOR),
+    )
+
+
+def _page_of(episode: EpisodeReport) -> dict[str, Any]:
+    """Returns what the template shows of an episode, as plain values."""
+    # Whatever a failed stage left out reads as an empty mapping, so that the template need not ask.
+    record = {key: value for key, value in episode.record.items() if value is not None}
+    for group in ("choice", "counts", "held", "rejected", "seconds", "selector", "sim"):
+        record.setdefault(group, {})
+    view = episode.view
+    return {
+        "record": record,
+        "held": _held(record["held"]),
+        "json": json.dumps(dict(episode.record), indent=2, ensure_ascii=False, default=str),
+        "rgb": None if view is None else _data_url(view.rgb),
+        "depth": None if view is None else _data_url(depth_image(view.depth)),
+        "depth_range": None if view is None else depth_range(view.depth),
+        "decision": None if episode.decision is None else _data_url(episode.decision),
+        "stages": _timings(record["seconds"]),
+        "motion": None if episode.motion is None else _plot(episode.motion),
+        "replay": None if episode.replay is None else _pack(episode.replay),
+    }
+
+
+def _held(shares: Mapping[str, float]) -> str | None:
+    """Returns the part that is held, with the shares where there are several."""
+    if len(shares) < 2:
+        return next(iter(shares), None)
+    parts = sorted(shares.items(), key=lambda part: -part[1])
+    return ", ".join(f"{part} {share:.0%}" for part, share in parts)
+
+
+def _timings(seconds: Mapping[str, float | None]) -> list[tuple[str, float, float]]:
+    """Returns of each timed stage what it does, its seconds, and its share of the longest."""
+    timed = [(STAGES[key], value) for key in STAGES if (value := seconds.get(key)) is not None]
+    longest = max((value for _, value in timed), default=0.0) or 1.0
+    return [(text, value, value / longest) for text, value in timed]
+
+
+WIDTH, HEIGHT = 760.0, 312.0  # of the plot, in units of its viewBox
+LEFT, RIGHT, TOP, BOTTOM = 40.0, 36.0, 24.0, 26.0  # margins
+HAND_HEIGHT = 46.0  # of the strip with the hand's opening, below the joints
+
+
+def _plot(motion: GraspMotion) -> dict[str, Any]:
+    """Returns the planned motion as what an SVG needs: joint angles above, the opening below."""
+    times = np.linspace(0.0, motion.duration, 120)
+    q = np.stack([motion.arm.value(t)[:, 0] for t in times])
+    opening = 1e3 * np.clip([motion.hand.value(t)[0, 0] for t in times], 0.0, None)
+    low, high = np.floor(q.min()), np.ceil(q.max())
+    joints_bottom = HEIGHT - BOTTOM - HAND_HEIGHT - 24.0
+    hand_bottom = HEIGHT - BOTTOM
+    widest = max(80.0, float(opening.max()))
+
+    def x_of(t: Any) -> Any:
+        return LEFT + (WIDTH - LEFT - RIGHT) * t / max(motion.duration, 1e-9)
+
+    def y_of(angle: Any) -> Any:
+        return joints_bottom - (joints_bottom - TOP) * (angle - low) / max(high - low, 1e-9)
+
+    hand = hand_bottom - HAND_HEIGHT * opening / widest
+    begins = {"transfer": 0.0} | motion.phase_times
+    phases = sorted(begins.items(), key=lambda phase: phase[1])
+    return {
+        "size": (WIDTH, HEIGHT),
+        "frame": (LEFT, WIDTH - RIGHT, TOP, joints_bottom, hand_bottom),
+        "joints": [_points(x_of(times), y_of(angle)) for angle in q.T],
+        "labels": _spread([float(y_of(angle)) for angle in q[-1]]),
+        "hand": _points(
+            np.r_[LEFT, x_of(times), WIDTH - RIGHT], np.r_[hand_bottom, hand, hand_bottom]
+        ),
+        "angles": [(int(a), float(y_of(a))) for a in np.arange(low, high + 1)],
+        "seconds": [(int(t), float(x_of(t))) for t in np.arange(0, motion.duration + 1e-9)],
+        "phases": [(name, float(x_of(begin))) for name, begin in phases],
+        "widest": widest,
+        "hand_height": HAND_HEIGHT,
+        "duration": motion.duration,
+        "note": motion.note,
+    }
+
+
+def _points(x: NDArray[np.float64], y: NDArray[np.float64]) -> str:
+    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+
+
+def _spread(heights: list[float], apart: float = 12.0) -> list[float]:
+    """Moves labels down until none covers another; they keep their order."""
+    placed = list(heights)
+    for before, label in zip(order := np.argsort(heights), order[1:], strict=False):
+        placed[label] = max(placed[label], placed[before] + apart)
+    return placed
+
+
+def _data_url(image: NDArray[np.uint8]) -> str:
+    return "data:image/png;base64," + base64.b64encode(encode_png(image)).decode()
+
+
+def _pack(page: str) -> str:
+    """Returns the page as base64 of gzip: a third of its size; ``mtime`` keeps it reproducible."""
+    return base64.b64encode(gzip.compress(page.encode(), mtime=0)).decode()
+
+
+def _words(identifier: object) -> str:
+    """Returns ``hand_collision`` as "hand collision" and ``no_ik`` as "no IK"."""
+    return " ".join("IK" if word == "ik" else word for word in str(identifier).split("_"))
+
+
+def _milliseconds(seconds: float) -> str:
+    ms = 1e3 * seconds
+    return f"{ms:.1f}" if ms < 10 else f"{ms:,.0f}"

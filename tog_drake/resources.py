@@ -1,0 +1,23 @@
+"""Where the package's own models and scenarios are, wherever it is installed."""
+
+from pathlib import Path
+
+from pydrake.multibody.parsing import PackageMap
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def resource_dir(name: str) -> Path:
+    """Returns the folder ``models`` or ``diagrams``.
+
+    A wheel carries both inside the package; in a checkout they lie beside it.
+    """
+    inside = _PACKAGE / name
+    return inside if inside.is_dir() else _PACKAGE.parent / name
+
+
+def make_package_map() -> PackageMap:
+    """Returns Drake's package map with ``package://tog_drake/`` at our ``models`` folder."""
+    package_map = PackageMap()
+    package_map.AddPackageXml(str(resource_dir("models") / "package.xml"))
+    return package_map

@@ -1,0 +1,223 @@
+"""The scenario: one YAML file that says what is in the world, who looks, and how it is decided.
+
+The vocabulary is Drake's (``directives``, ``cameras``, ``plant_config``, ``simulator_config`` ...)
+plus ``planning_directives``, the part of the world that the robot knows, and ``pipeline``.
+Config dataclasses are not frozen, because Drake's YAML loader fills them field by field.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import yaml
+from pydrake.common import RandomGenerator
+from pydrake.common.schema import Rotation, Transform
+from pydrake.common.yaml import yaml_load_typed
+from pydrake.math import RotationMatrix
+from pydrake.multibody.parsing import AddDirectives, ModelDirective
+from pydrake.multibody.plant import MultibodyPlantConfig
+from pydrake.systems.analysis import SimulatorConfig
+from pydrake.systems.sensors import CameraConfig
+
+from tog_drake.errors import InputError
+from tog_drake.pipeline import PipelineConfig
+from tog_drake.resources import make_package_map, resource_dir
+from tog_drake.schema_check import check_yaml
+
+MAX_SCENARIO_BYTES = 1_000_000  # a scenario is a page; anything larger is not one
+
+# The Intel RealSense L515's colour field of view is 70° × 43° at 1280×720 (data sheet); its
+# 640×480 mode is the middle of that image, scaled by 2/3.
+_L515_FOCAL = {"1280x720": 914.1, "640x480": 609.4}  # [pixel]
+
+
+@dataclass
+class L515:
+    """A camera like an Intel RealSense L515, colour and depth aligned: `!L515 {}`."""
+
+    resolution: str = "640x480"  # or 1280x720 [pixel]
+    X_PB: Transform = field(
+        default_factory=lambda: Transform(
+            base_frame="hand::panda_hand",
+            translation=[0.065, 0.0, 0.035],
+            rotation=Rotation(RotationMatrix.MakeZRotation(np.pi / 2)),
+        )
+    )  # where it is mounted: beside the hand, looking along the fingers
+
+    def camera_config(self) -> CameraConfig:
+        """Returns the same camera in Drake's terms.
+
+        Raises:
+            InputError: if the resolution is none of the camera's.
+        """
+        if self.resolution not in _L515_FOCAL:
+            raise InputError(
+                f"L515 has no resolution {self.resolution!r}; valid: {', '.join(_L515_FOCAL)}"
+            )
+        width, height = map(int, self.resolution.split("x"))
+        focal = _L515_FOCAL[self.resolution]
+        return CameraConfig(
+            width=width,
+            height=height,
+            focal=CameraConfig.FocalLength(x=focal, y=focal),
+            z_near=0.25,  # [m] its least range
+            z_far=9.0,
+            clipping_near=0.01,
+            X_PB=self.X_PB,
+            depth=True,
+        )
+
+
+@dataclass
+class Primitives:
+    """The arm and hand of this project, made of primitive shapes: `!Primitives {}`."""
+
+    url: ClassVar[str] = "package://tog_drake/panda/panda.dmd.yaml"
+
+
+@dataclass
+class DrakeModels:
+    """Drake's own Franka models, which Drake downloads at first use: `!DrakeModels {}`."""
+
+    url: ClassVar[str] = "package://tog_drake/panda/drake_models.dmd.yaml"
+
+
+@dataclass
+class Scenario:
+    """What ``tog run`` runs."""
+
+    random_seed: int = 0
+    """Seeds everything that is random: object poses, proposals, candidates, plans."""
+    robot: Primitives | DrakeModels = field(default_factory=Primitives)
+    """The model of arm (instance `panda`) and hand (instance `hand`), on a table at z = 0."""
+    directives: list[ModelDirective] = field(default_factory=list)
+    """The world around the robot. A stochastic `default_free_body_pose` is drawn by the seed."""
+    planning_directives: list[ModelDirective] = field(default_factory=lambda: [_table()])
+    """What the robot knows of that world. It does not know the objects."""
+    initial_position: Mapping[str, Mapping[str, float]] = field(
+        default_factory=lambda: {
+            "panda": {f"panda_joint{i}": q for i, q in enumerate(LOOK_POSTURE, 1)},
+            "hand": {"panda_finger_joint1": 0.04, "panda_finger_joint2": 0.04},
+        }
+    )
+    """Joint positions at the start [rad or m]: looking at the table with the hand open."""
+    cameras: Mapping[str, L515 | CameraConfig] = field(default_factory=lambda: {"wrist": L515()})
+    """RGB-D cameras by name."""
+    plant_config: MultibodyPlantConfig = field(
+        default_factory=lambda: MultibodyPlantConfig(
+            time_step=0.002,
+            contact_model="hydroelastic_with_fallback",
+            discrete_contact_approximation="lagged",
+        )
+    )
+    """How contact is simulated. TAMSI cannot couple the fingers and is refused."""
+    simulator_config: SimulatorConfig = field(
+        default_factory=lambda: SimulatorConfig(target_realtime_rate=0.0)
+    )
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+
+
+# The wrist camera half a metre above the table's middle, tilted 24° [rad].
+LOOK_POSTURE = (0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853)
+
+
+def _table() -> ModelDirective:
+    return ModelDirective(
+        add_directives=AddDirectives(file="package://tog_drake/scenes/table.dmd.yaml")
+    )
+
+
+def scenario_files() -> dict[str, Path]:
+    """Returns the scenarios that come with the package, by name."""
+    return {path.stem: path for path in sorted(resource_dir("diagrams").glob("*.yaml"))}
+
+
+def load_scenario(name_or_file: str, text: str | None = None) -> Scenario:
+    """Loads a scenario by name or from a file; ``text`` (YAML) overrides single fields of it.
+
+    Raises:
+        InputError: if there is no such scenario, or a field or tag of it is unknown.
+    """
+    files = scenario_files()
+    path = files.get(name_or_file, Path(name_or_file))
+    if not path.is_file():
+        raise InputError(
+            f"unknown scenario {name_or_file!r}; valid: {', '.join(files)}, or a YAML file"
+        )
+    if path.stat().st_size > MAX_SCENARIO_BYTES:
+        raise InputError(f"{path} is larger than {MAX_SCENARIO_BYTES} bytes: not a scenario")
+    try:
+        content = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read scenario {path}: {error}") from error
+    scenario = parse_scenario(content, str(path), Scenario())
+    return parse_scenario(text, "--scenario-text", scenario) if text else scenario
+
+
+def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:
+    """Returns ``defaults`` with the fields of the YAML ``content`` in their place.
+
+    Raises:
+        InputError: naming ``source``, the field, what was given and what would be valid.
+    """
+    checked = check_yaml(Scenario, content, source)
+    try:
+        scenario = yaml_load_typed(
+            schema=Scenario, data=checked, defaults=defaults, retain_map_defaults=True
+        )
+    except (RuntimeError, ValueError, TypeError, AttributeError, yaml.YAMLError) as error:
+        raise InputError(f"{source}: {error}") from error
+    if scenario.plant_config.discrete_contact_approximation == "tamsi":
+        raise InputError(
+            f"{source}: plant_config.discrete_contact_approximation: tamsi ignores the coupling "
+            "of the fingers and the joint gains; valid: lagged, similar, sap"
+        )
+    return scenario
+
+
+def sampled_directives(scenario: Scenario) -> list[ModelDirective]:
+    """Returns the directives of robot and world, with every random pose drawn by the seed."""
+    generator = RandomGenerator(scenario.random_seed)
+    directives = [robot_directive(scenario)]
+    for directive in scenario.directives:
+        model = directive.add_model
+        if model is not None:
+            # Drake hands out a copy of the mapping, so it is assigned as a whole.
+            model.default_free_body_pose = {
+                body: pose if pose.IsDeterministic() else _drawn(pose, generator)
+                for body, pose in model.default_free_body_pose.items()
+            }
+        directives.append(directive)
+    return directives
+
+
+def robot_directive(scenario: Scenario) -> ModelDirective:
+    """Returns the directive that adds arm and hand."""
+    return ModelDirective(add_directives=AddDirectives(file=scenario.robot.url))
+
+
+def _drawn(pose: Transform, generator: RandomGenerator) -> Transform:
+    X = pose.Sample(generator)
+    drawn = Transform(X)
+    drawn.base_frame = pose.base_frame
+    return drawn
+
+
+def camera_configs(scenario: Scenario) -> dict[str, CameraConfig]:
+    """Returns the scenario's cameras in Drake's terms."""
+    return {
+        name: camera.camera_config() if isinstance(camera, L515) else camera
+        for name, camera in scenario.cameras.items()
+    }
+
+
+def model_files(scenario: Scenario) -> dict[str, Path]:
+    """Returns the file of each model that the scenario's own directives add, by name."""
+    packages = make_package_map()
+    return {
+        d.add_model.name: Path(packages.ResolveUrl(d.add_model.file))
+        for d in scenario.directives
+        if d.add_model is not None
+    }

@@ -1,0 +1,64 @@
+"""What a run leaves to look at: the record, the report, a live or a static scene."""
+
+import json
+import time
+from pathlib import Path
+
+from pydrake.geometry import Meshcat
+from rich.console import Console
+
+from tog_drake.episode import Episode
+from tog_drake.files import write_atomically
+from tog_drake.record import EpisodeRecord
+from tog_drake.report import EpisodeReport
+from tog_drake.scenario import Scenario
+from tog_drake.selectors.drawing import decision_image
+from tog_drake.stations.simulation import SimulationStation
+from tog_drake.visualization import make_meshcat
+
+
+def show_live(console: Console) -> Meshcat:
+    """Starts Meshcat on localhost and says where."""
+    meshcat = make_meshcat()
+    console.print(f"live: {meshcat.web_url()}", highlight=False)
+    return meshcat
+
+
+def save_record(path: Path, record: EpisodeRecord) -> None:
+    """Writes ``episode.json``, whole or not at all."""
+    write_atomically(path, json.dumps(record, indent=1) + "\n")
+
+
+def report_of(episode: Episode) -> EpisodeReport:
+    """Returns what the report shows of an episode."""
+    decision = episode.decision
+    picture = None
+    if decision.view is not None and decision.candidates is not None:
+        picture = decision_image(decision.view, decision.candidates, decision.choice)
+    return EpisodeReport(
+        record=episode.record,
+        view=decision.view,
+        decision=picture,
+        motion=decision.motion,
+        replay=episode.replay,
+    )
+
+
+def _scene(scenario: Scenario) -> Meshcat:
+    meshcat = make_meshcat()
+    station = SimulationStation(scenario, meshcat)
+    station.ForcedPublish(station.CreateDefaultContext())
+    return meshcat
+
+
+def write_scene(scenario: Scenario, path: Path) -> None:
+    """Writes the scene as it is at the start as a static page."""
+    write_atomically(path, _scene(scenario).StaticHtml())
+
+
+def serve_scene(scenario: Scenario, console: Console) -> None:
+    """Serves the scene on localhost until the user interrupts."""
+    meshcat = _scene(scenario)
+    console.print(f"live: {meshcat.web_url()} (Ctrl-C ends it)", highlight=False)
+    while True:
+        time.sleep(1.0)

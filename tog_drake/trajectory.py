@@ -1,0 +1,259 @@
+"""From a choice to a motion: look posture → pregrasp → grasp → close → lift → hold."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import Context, LeafSystem
+from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Trajectory
+
+from tog_drake.clearance import Scene
+from tog_drake.distance_field import DistanceField
+from tog_drake.errors import NoPlan
+from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
+from tog_drake.path_planning import corners, find_path, shortcut
+from tog_drake.planning_model import PlanningModel
+from tog_drake.timing import (
+    PEAK_SPEED,
+    JointLimits,
+    SplineConfig,
+    optimize_spline,
+    rest_to_rest,
+)
+from tog_drake.values import Array, Choice, FeasibleGrasps, GraspMotion
+
+_RATES = ("velocity", "acceleration", "jerk")
+_LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
+_TOLERANCE = 1e-3  # part of a limit that rounding may take more
+
+
+@dataclass
+class TrajectoryConfig:
+    """How fast the arm moves, and how far it stays from what it sees."""
+
+    speed: float = 0.5  # of the fastest: 0.5 takes twice as long (acceleration ¼, jerk ⅛)
+    approach_speed: float = 0.15  # [m/s] of the hand, at most, on the straight way to the grasp
+    lift_speed: float = 0.25  # [m/s] of the hand, at most, on the straight way up
+    position_margin: float = 0.02  # [rad] kept from the joints' position limits
+    clearance: float = 0.01  # [m] from the cloud that is planned for on the way to the pregrasp
+    spline: SplineConfig = field(default_factory=SplineConfig)
+    path_step: float = 0.05  # [rad] between checked configurations of a path
+    shortcuts: int = 60  # tried on a path that is not straight
+    attempts: int = 5  # paths and splines tried before the arm is sent along a path with stops
+    check_step: float = 0.01  # [rad] between checked configurations of the motion
+    opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
+    closed: float = -0.02  # [m] commanded opening: beyond contact, so that the hand presses
+    closing_speed: float = 0.1  # [m/s] of the commanded opening
+    settle_time: float = 0.2  # [s] of standing still with the hand closed, before the lift
+    hold_time: float = 2.5  # [s] of standing still after the lift
+
+
+def plan_motion(
+    choice: Choice,
+    q_now: Array,
+    cloud: PointCloud,
+    planning_model: PlanningModel,
+    config: TrajectoryConfig,
+    seed: int,
+) -> GraspMotion:
+    """Returns a motion that grasps and lifts what was chosen.
+
+    The hand opens while the arm goes to the pregrasp by the fastest clear spline that is found;
+    then come the straight approach, closing, the straight lift and a hold. The segments meet at
+    rest. Every segment is checked densely against itself, the known world and the cloud, and
+    against all limits, before it is returned. On approach and lift the hand is not checked against
+    the cloud: it is there to touch it, and what it may touch was decided with the grasp.
+
+    Args:
+        choice: its grasp is one row of FeasibleGrasps.
+        q_now: (7,) [rad] where the motion starts, at rest.
+        cloud: what the camera saw, in W.
+        planning_model: what the robot knows.
+        config: see ``TrajectoryConfig``.
+        seed: decides everything that is random.
+
+    Raises:
+        NoPlan: saying which check failed, where and by how much.
+    """
+    q_approach, q_lift = _joint_paths(choice)
+    limits = _limits(config, np.vstack([q_now, q_approach, q_lift]))
+    points = np.asarray(cloud.xyzs().T, dtype=float)
+    opening = min(float(choice.grasp.width[0]) + config.opening_margin, MAX_OPENING)
+    scene = Scene(planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening)
+
+    transfer, note = _transfer(q_now, q_approach[0], scene, limits, config, seed)
+    t = transfer.end_time()
+    approach = _straight(q_approach, config.approach_speed, planning_model, limits, t)
+    scene.check(approach, "the approach", config.check_step, with_hand=False)
+    t_close = approach.end_time()
+    t_lift = t_close + (opening - config.closed) / config.closing_speed + config.settle_time
+    lift = _straight(q_lift, config.lift_speed, planning_model, limits, t_lift)
+    scene.check(lift, "the lift", config.check_step, with_hand=False)
+    t_hold = lift.end_time()
+    end = t_hold + config.hold_time
+
+    closing = _still(q_approach[-1], t_close, t_lift)
+    arm = CompositeTrajectory([transfer, approach, closing, lift, _still(q_lift[-1], t_hold, end)])
+    _check_limits(arm, q_now, limits)
+    return GraspMotion(
+        arm=arm,
+        hand=PiecewisePolynomial.FirstOrderHold(
+            [0.0, t_close, t_lift - config.settle_time, end],
+            np.array([[opening, opening, config.closed, config.closed]]),
+        ),
+        duration=end,
+        phase_times={"approach": t, "close": t_close, "lift": t_lift, "hold": t_hold},
+        note=note,
+    )
+
+
+def _joint_paths(choice: Choice) -> tuple[Array, Array]:
+    """Returns approach (A, 7) and lift (L, 7) of the chosen grasp."""
+    grasp = choice.grasp
+    if not isinstance(grasp, FeasibleGrasps) or len(grasp) != 1:
+        raise NoPlan(
+            f"the choice holds {len(grasp)} grasps of type {type(grasp).__name__}: one row of "
+            "FeasibleGrasps is needed, which carries the joint paths of approach and lift"
+        )
+    return grasp.q_approach[0], grasp.q_lift[0]
+
+
+def _limits(config: TrajectoryConfig, q: Array) -> JointLimits:
+    """The robot's limits at the configured speed, wide enough for the given q (N, 7)."""
+    lower = np.minimum(Q_LOWER + config.position_margin, q.min(axis=0))
+    upper = np.maximum(Q_UPPER - config.position_margin, q.max(axis=0))
+    return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(config.speed)
+
+
+def _straight(
+    path: Array, hand_speed: float, planning_model: PlanningModel, limits: JointLimits, start: float
+) -> Trajectory:
+    """Times a Cartesian line of the hand, given at equal steps in joint angles (P, 7)."""
+    length = float(np.linalg.norm(np.diff(planning_model.X_WG(path[[0, -1]])[:, :3, 3], axis=0)))
+    return rest_to_rest(path, limits, start, PEAK_SPEED * length / hand_speed)
+
+
+def _still(q: Array, start: float, end: float) -> Trajectory:
+    return PiecewisePolynomial.FirstOrderHold([start, end], np.stack([q, q], axis=1))
+
+
+def _transfer(
+    q_now: Array,
+    q_pregrasp: Array,
+    scene: Scene,
+    limits: JointLimits,
+    config: TrajectoryConfig,
+    seed: int,
+) -> tuple[Trajectory, str]:
+    """Returns the way to the pregrasp, checked, and how it was found."""
+    scene.require_free(q_now, "the arm's present posture", "move the arm away by hand")
+    scene.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
+    ends = np.stack([q_now, q_pregrasp])
+    # An end that is nearer to something than the rest of the way may be stays allowed.
+    clearance = min(config.clearance, float(scene.cloud_clearance(ends).min()))
+
+    def count_free(q: Array) -> int:
+        return scene.count_free(q, clearance)
+
+    rng = np.random.default_rng(seed)
+    step, failures = config.path_step, []
+    for attempt in range(config.attempts):
+        spread = 1.0 + attempt  # [rad] beyond the ends: first look for paths that stay near
+        lower = np.maximum(limits.lower, ends.min(axis=0) - spread)
+        upper = np.minimum(limits.upper, ends.max(axis=0) + spread)
+        path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
+        path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
+        try:
+            spline = optimize_spline(
+                path, limits, scene.cloud_clearance_and_gradient, clearance, config.spline
+            )
+            scene.check(spline, "the way to the pregrasp", config.check_step)
+            return spline, f"optimised, attempt {attempt + 1}"
+        except NoPlan as failure:
+            failures.append(str(failure))
+    stops = _with_stops(corners(path), limits)
+    scene.check(stops, "the way to the pregrasp", config.check_step)
+    return stops, f"with stops on the way, since {len(failures)} attempts failed: {failures[-1]}"
+
+
+def _with_stops(path: Array, limits: JointLimits) -> Trajectory:
+    """Follows straight lines exactly, at rest at every corner: slow, but as safe as the path."""
+    segments: list[Trajectory] = []
+    for line in pairwise(path):
+        start = segments[-1].end_time() if segments else 0.0
+        segments.append(rest_to_rest(np.stack(line), limits, start))
+    return CompositeTrajectory(segments)
+
+
+def _check_limits(arm: Trajectory, q_now: Array, limits: JointLimits) -> None:
+    """Raises NoPlan unless the motion starts at rest at q_now, is finite and inside the limits."""
+    end = arm.end_time()
+    times = np.linspace(0, end, int(end / _LIMIT_PERIOD) + 2)
+    q = arm.vector_values(times)
+    rates = [arm.MakeDerivative(order).vector_values(times) for order in (1, 2, 3)]
+    if not all(np.isfinite(values).all() for values in (q, *rates)):
+        raise NoPlan("the motion holds values that are not finite; plan with another seed")
+    start = max(np.abs(q[:, 0] - q_now).max(), np.abs(rates[0][:, 0]).max())
+    if start > 1e-9:
+        raise NoPlan(f"the motion starts {start:.2g} away from rest at the arm's present posture")
+    middle, half = (limits.upper + limits.lower) / 2, (limits.upper - limits.lower) / 2
+    used = {"position": np.abs(q.T - middle) / half}  # 1 is at the limit
+    for name, rate, limit in zip(_RATES, rates, limits.rates(), strict=True):
+        used[name] = np.abs(rate.T) / limit
+    for name, part in used.items():
+        if part.max() > 1 + _TOLERANCE:
+            i, joint = np.unravel_index(part.argmax(), part.shape)
+            raise NoPlan(
+                f"the motion would break the {name} limit of joint {joint + 1} at "
+                f"{times[i]:.2f} s, at {100 * part.max():.1f} % of it; plan with a lower speed"
+            )
+
+
+class TrajectoryOptimizer(LeafSystem):
+    """Plans the motion that carries out the choice.
+
+    .. pydrake_system::
+
+        name: TrajectoryOptimizer
+        input_ports:
+        - choice
+        - cloud
+        - panda.position_measured
+        output_ports:
+        - motion
+
+    ``motion`` is computed once per change of an input.
+    """
+
+    def __init__(self, config: TrajectoryConfig, planning_model: PlanningModel, *, seed: int):
+        super().__init__()
+        self._config = config
+        self._planning_model = planning_model
+        self._seed = seed
+        self._choice = self.DeclareAbstractInputPort("choice", Value(Choice.none()))
+        self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
+        self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
+        self.DeclareAbstractOutputPort(
+            "motion",
+            alloc=lambda: Value(GraspMotion.still()),
+            calc=self._CalcMotion,
+            prerequisites_of_calc={
+                self._choice.ticket(),
+                self._cloud.ticket(),
+                self._position.ticket(),
+            },
+        )
+
+    def _CalcMotion(self, context: Context, output: Value) -> None:
+        output.set_value(
+            plan_motion(
+                self._choice.Eval(context),
+                self._position.Eval(context),
+                self._cloud.Eval(context),
+                self._planning_model,
+                self._config,
+                self._seed,
+            )
+        )

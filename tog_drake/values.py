@@ -1,0 +1,161 @@
+"""What travels on the ports of the pipeline.
+
+Every value is frozen and holds numpy arrays, not lists of objects. Frames follow Drake's monogram
+notation: W world (z up), C camera (z forward, x right, y down), G grasp (see ``panda``).
+"""
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.trajectories import PiecewisePolynomial, Trajectory
+from typing_extensions import Self
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera without distortion; pixel centres lie at whole numbers (u right, v down)."""
+
+    width: int  # [pixel]
+    height: int  # [pixel]
+    fx: float  # [pixel]
+    fy: float  # [pixel]
+    cx: float  # [pixel]
+    cy: float  # [pixel]
+
+
+@dataclass(frozen=True)
+class View:
+    """One colour-and-depth image and where it was taken from."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3)
+    depth: NDArray[np.float32]  # (H, W) [m] along z of C; 0 is a hole, nothing is NaN or inf
+    intrinsics: Intrinsics
+    X_WC: Array  # (4, 4)
+
+    @staticmethod
+    def empty() -> "View":
+        """A view of one pixel, a hole: the model value of ports."""
+        return View(
+            rgb=np.zeros((1, 1, 3), np.uint8),
+            depth=np.zeros((1, 1), np.float32),
+            intrinsics=Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0),
+            X_WC=np.eye(4),
+        )
+
+
+@dataclass
+class Workspace:
+    """The part of the world in which things are looked for and grasped, in W (a config)."""
+
+    lower: list[float] = field(default_factory=lambda: [0.25, -0.40, -0.05])  # [m] x, y, z
+    upper: list[float] = field(default_factory=lambda: [0.80, 0.40, 0.40])  # [m] x, y, z
+    table_height: float = 0.0  # [m] z of the table top
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """N grasps, best first. Every array has N rows."""
+
+    X_WG: Array  # (N, 4, 4)
+    width: Array  # (N,) [m] distance between the two contacts
+    score: Array  # (N,) confidence in [0, 1]
+    p_WContact: Array  # (N, 3) [m] where a finger pad meets the *observed* surface
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def take(self, rows: NDArray[np.integer]) -> Self:
+        """Returns the grasps of ``rows``, in that order, of the same type."""
+        per_grasp = {
+            f.name: getattr(self, f.name)[rows]
+            for f in fields(self)
+            if not f.metadata.get("whole", False)
+        }
+        return replace(self, **per_grasp)
+
+    @staticmethod
+    def empty() -> "Grasps":
+        return Grasps(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0), np.zeros((0, 3)))
+
+
+@dataclass(frozen=True)
+class FeasibleGrasps(Grasps):
+    """Grasps that the arm can approach and lift, with the joint paths that do it."""
+
+    q_approach: Array = field(default_factory=lambda: np.zeros((0, 0, 7)))
+    """(N, A, 7) [rad] straight Cartesian approach: pregrasp first, grasp last."""
+    q_lift: Array = field(default_factory=lambda: np.zeros((0, 0, 7)))
+    """(N, L, 7) [rad] straight Cartesian lift: grasp first, lifted last."""
+    rejected: dict[str, int] = field(default_factory=dict, metadata={"whole": True})
+    """How many proposals fell to each reason; they and the N add up to all proposals."""
+
+    @property
+    def q_pregrasp(self) -> Array:
+        return self.q_approach[:, 0]
+
+    @property
+    def q_grasp(self) -> Array:
+        return self.q_approach[:, -1]
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """K diverse grasps, picked from all that are feasible."""
+
+    grasps: Grasps  # all N feasible grasps (a FeasibleGrasps where there is an arm)
+    index: NDArray[np.int64]  # (K,) rows of ``grasps``, best confidence first
+    cluster: NDArray[np.int64]  # (N,) which candidate (0..K-1) each grasp is nearest to
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @staticmethod
+    def empty() -> "Candidates":
+        """No candidate: the model value of ports."""
+        return Candidates(Grasps.empty(), np.zeros(0, np.int64), np.zeros(0, np.int64))
+
+
+ChoiceStatus = Literal["ok", "part_not_found", "object_not_found", "unclear_task", "no_grasp_on_part"]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The grasp that a selector picked, and why."""
+
+    index: int  # row of ``Candidates.grasps``
+    grasp: Grasps  # N = 1
+    reason: str  # one or two sentences for a person
+    status: ChoiceStatus = "ok"  # what the selector could not resolve, if anything
+    part: str | None = None  # the part that the selector believes to hold, in its own words
+    pixel: tuple[float, float] | None = None  # (u, v) of the contact point in the view shown
+    raw_answer: str | None = None  # what a model answered, verbatim
+
+    @staticmethod
+    def none() -> "Choice":
+        """Nothing chosen: the model value of ports."""
+        return Choice(index=-1, grasp=Grasps.empty(), reason="")
+
+
+@dataclass(frozen=True)
+class GraspMotion:
+    """A timed motion, from 0 to ``duration``, checked and ready to execute."""
+
+    arm: Trajectory  # (7,) [rad]
+    hand: Trajectory  # (1,) [m] commanded opening
+    duration: float  # [s]
+    phase_times: dict[str, float]  # [s] when approach, close, lift and hold begin
+    note: str = ""  # how it was found (optimised, or the fallback)
+
+    @staticmethod
+    def still() -> "GraspMotion":
+        """A motion of no duration: the model value of ports."""
+        return GraspMotion(
+            arm=PiecewisePolynomial(np.zeros((7, 1))),
+            hand=PiecewisePolynomial(np.zeros((1, 1))),
+            duration=0.0,
+            phase_times={},
+        )
