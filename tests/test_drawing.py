@@ -49,12 +49,12 @@ SIDEWAYS = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 
 
 def pixel(u, v):
-    return int(round(v)), int(round(u))
+    return round(v), round(u)
 
 
 def test_colors_follow_the_order_of_the_paper_and_differ():
-    names = [name for name, _ in CANDIDATE_COLORS]
-    assert names == "red green blue yellow cyan magenta orange purple pink lime brown white".split()
+    names = " ".join(name for name, _ in CANDIDATE_COLORS)
+    assert names == "red green blue yellow cyan magenta orange purple pink lime brown white"
     colors = np.array([color for _, color in CANDIDATE_COLORS], float)
     apart = np.linalg.norm(colors[:, None] - colors, axis=2) + 1e3 * np.eye(12)
     assert apart.min() > 60
@@ -125,7 +125,7 @@ def test_lines_have_their_color_within_a_dark_outline():
     u, v = 425, 215.5  # amid the finger at −y
     column = image[int(v) - 12 : int(v) + 13, u].astype(int)
     assert column[12].tolist() == [255, 0, 0]
-    assert column[:13].sum(axis=1).min() < 3 * 40  # darker than ground and line
+    assert column[:12].sum(axis=1).min() < 180  # the ground has 384, the line 255
     assert (column[0] == GRAY).all()
     assert (view.rgb == GRAY).all()  # the view itself is left alone
 

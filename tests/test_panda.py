@@ -329,28 +329,34 @@ def test_spheres_of_a_capsule_or_cylinder_stand_out_of_its_side_by_the_margin_at
     assert r - radius <= MARGIN + 1e-9
 
 
-def default_directives() -> list[ModelDirective]:
-    return LoadModelDirectives(SCENE).directives
+def directives_of(file: str) -> list[ModelDirective]:
+    return LoadModelDirectives(MODELS / file).directives
 
 
 def test_directives_without_a_hand_are_refused_by_name() -> None:
-    without_hand = default_directives()[:4]
+    arm_alone = directives_of("panda/panda.dmd.yaml")[:2]
     with pytest.raises(InputError, match="no model named 'hand'"):
-        MakePlanningModel(without_hand)
+        MakePlanningModel(arm_alone)
 
 
 def test_directives_with_something_else_that_moves_are_refused() -> None:
-    twice = default_directives()
-    extra = default_directives()[-2]
-    extra.add_model.name = "another"
+    loose = directives_of("scenes/table.dmd.yaml")[:1]
     with pytest.raises(InputError, match="nothing else"):
-        MakePlanningModel([*twice, extra])
+        MakePlanningModel([*directives_of("panda/panda.dmd.yaml"), *loose])
+
+
+def test_drakes_own_models_are_added_under_the_same_names() -> None:
+    ours, drakes = (directives_of(f"panda/{name}.dmd.yaml") for name in ("panda", "drake_models"))
+    for directive in (*ours, *drakes):
+        if directive.add_model is not None:
+            directive.add_model.file = "the only difference"
+    assert [str(directive) for directive in ours] == [str(directive) for directive in drakes]
 
 
 # Simulation.
 
 
-def test_the_arm_holds_home_to_a_milliradian() -> None:
+def test_the_arm_goes_home_and_holds_it_to_a_milliradian() -> None:
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlant(
         MultibodyPlantConfig(
@@ -368,22 +374,21 @@ def test_the_arm_holds_home_to_a_milliradian() -> None:
     diagram = builder.Build()
     simulator = Simulator(diagram)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    start = np.concatenate([HOME, [0.02, 0.02]])
-    plant.SetPositions(context, start)
+    wanted = np.concatenate([HOME, [0.02, 0.02]])
+    plant.SetPositions(context, wanted + 0.01)
     arm, hand = (plant.GetModelInstanceByName(name) for name in ("panda", "hand"))
     plant.get_desired_state_input_port(arm).FixValue(context, np.concatenate([HOME, np.zeros(7)]))
     plant.get_desired_state_input_port(hand).FixValue(context, [0.02, 0.02, 0.0, 0.0])
-    simulator.AdvanceTo(0.5)
-    np.testing.assert_allclose(plant.GetPositions(context), start, rtol=0, atol=1e-3)
+    simulator.AdvanceTo(1.0)
+    np.testing.assert_allclose(plant.GetPositions(context), wanted, rtol=0, atol=1e-3)
 
 
 def set_gains(plant: MultibodyPlant) -> None:
     p = dict(zip(panda.JOINT_NAMES, (4000, 4000, 3000, 3000, 1500, 1500, 600), strict=True))
     for name in ("panda", "hand"):
-        instance = plant.GetModelInstanceByName(name)
-        plant.set_gravity_enabled(instance, False)
-        for index in plant.GetJointActuatorIndices(instance):
-            actuator = plant.get_joint_actuator(index)
-            gain = p.get(actuator.joint().name(), 3000)
-            damping = 1.6 * gain**0.5 if name == "panda" else 60
-            actuator.set_controller_gains(PdControllerGains(p=gain, d=damping))
+        plant.set_gravity_enabled(plant.GetModelInstanceByName(name), False)
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        gain = p.get(actuator.joint().name(), 3000)
+        damping = 1.6 * gain**0.5 if actuator.joint().name() in p else 60
+        actuator.set_controller_gains(PdControllerGains(p=gain, d=damping))

@@ -123,8 +123,9 @@ def test_a_path_that_leaves_the_reach_or_the_limits_is_nan():
 
 def test_a_path_does_not_depend_on_its_neighbours():
     rng = np.random.default_rng(2)
-    q = [0.0, 0.4, 0.0, -2.1, 0.0, 2.3, 0.6] + rng.uniform(-0.6, 0.6, (40, 7))
-    together = follow_path(_lift(q), q)
-    alone = np.concatenate([follow_path(_lift(row[None]), row[None]) for row in q])
+    q = rng.normal([0.0, 0.4, 0.0, -2.1, 0.0, 2.3, 0.6], 0.35, (40, 7))
+    X = _lift(q, height=0.4, points=31)
+    together = follow_path(X, q)
+    alone = np.concatenate([follow_path(X[i : i + 1], q[i : i + 1]) for i in range(len(q))])
     assert 10 < np.isfinite(together).all(axis=(1, 2)).sum() < 40
     np.testing.assert_allclose(together, alone, rtol=0, atol=1e-9)

@@ -54,8 +54,6 @@ class Scene:
 
     def require_free(self, q: Array, what: str, remedy: str) -> None:
         """Raises NoPlan if q (7,) touches anything."""
-        if not np.isfinite(q).all():
-            raise NoPlan(f"{what} is not finite: {q}; {remedy}")
         reason = self._touches(q[None], with_hand=True)
         if reason is not None:
             raise NoPlan(f"{what} is not free: {reason[1]}; {remedy}")

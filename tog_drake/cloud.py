@@ -28,7 +28,7 @@ class CloudConfig:
     min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
     max_gap: float = 0.010  # [m] points farther apart than this are not connected
     robot_padding: float = 0.010  # [m] the robot's spheres are inflated by this
-    max_depth_step: float = 0.015  # [m] a pixel this far off both its neighbours flies between them
+    max_slope: float = 6.0  # depth change per width; a steeper ramp is no surface but its edge
 
 
 class SceneCloud(LeafSystem):
@@ -135,22 +135,25 @@ def _crop(view: View, workspace: Workspace, config: CloudConfig) -> tuple[Array,
     p_W = np.moveaxis(unproject(view), -1, 0)
     lower = np.array(workspace.lower)
     lower[2] = max(lower[2], workspace.table_height + config.table_clearance)
-    keep = ~_flying(view.depth, config.max_depth_step)
+    keep = ~_flying(view, config.max_slope)
     for p, low, high in zip(p_W, lower, workspace.upper, strict=True):
         keep &= (p > low) & (p < high)  # False for the holes, which are NaN
     row = np.flatnonzero(keep)  # much faster than a mask of two dimensions
     return p_W.reshape(3, -1)[:, row].T, view.rgb.reshape(-1, 3)[row].astype(np.float64)
 
 
-def _flying(depth: NDArray[np.float32], step: float) -> NDArray[np.bool_]:
-    """Pixels that hang between a near surface and a far one, where there is nothing."""
+def _flying(view: View, max_slope: float) -> NDArray[np.bool_]:
+    """Pixels on a ramp between a near surface and a far one, where there is nothing in truth.
+
+    Depth cameras blur edges; a surface as steep as ``max_slope`` = tan(80°) they could not see.
+    """
+    depth = view.depth
+    step = depth * np.float32(max_slope / view.intrinsics.fx)
     flying = np.zeros(depth.shape, dtype=bool)
-    for axis in (0, 1):
-        d = np.diff(depth, axis=axis)
-        before, after = np.split(d, [-1], axis=axis)[0], np.split(d, [1], axis=axis)[1]
-        between = (before > step) & (after > step) | (before < -step) & (after < -step)
-        inner = (slice(1, -1), slice(None)) if axis == 0 else (slice(None), slice(1, -1))
-        flying[inner] |= between
+    for d, s, f in ((depth, step, flying), (depth.T, step.T, flying.T)):
+        change = d[1:] - d[:-1]
+        up, down = change > s[1:], change < -s[1:]
+        f[1:-1] |= (up[:-1] & up[1:]) | (down[:-1] & down[1:])
     return flying
 
 

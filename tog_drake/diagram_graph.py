@@ -8,8 +8,6 @@ from pydrake.systems.framework import Diagram, InputPortIndex, OutputPortIndex
 from tog_drake.episode import World
 from tog_drake.errors import InputError
 
-_ENDS = ("station", "task")  # drawn apart from the stages
-
 
 def svg(world: World) -> str:
     """Returns the picture as SVG text.
@@ -28,27 +26,43 @@ def svg(world: World) -> str:
 
 
 def dot(world: World) -> str:
-    """Returns the picture in graphviz's language."""
+    """Returns the picture in graphviz's language.
+
+    Arrows lead from each stage to the next, as the data flows. What a stage reads besides is named
+    inside its box, which keeps the chain a chain.
+    """
     stages = [system.get_name() for system in world.pipeline.GetSystems()]
+    titles = {system.get_name(): type(system).__name__ for system in world.pipeline.GetSystems()}
     edges = _inner_edges(world.pipeline) | _outer_edges(world)
-    titles = {s.get_name(): type(s).__name__ for s in world.pipeline.GetSystems()}
+    drawn = {*zip(["station", *stages], [*stages, "station"], strict=True), ("task", "selector")}
+    besides: dict[str, set[str]] = {name: set() for name in stages}
+    for (_, head), ports in edges.items():
+        if (_, head) not in drawn:
+            besides[head] |= ports
+    station = type(world.station).__name__
     lines = [
         "digraph tog_drake {",
-        '  rankdir=LR; nodesep=0.35; ranksep=0.7; fontname="sans-serif";',
+        "  rankdir=LR; nodesep=0.3; ranksep=0.35;",
         '  node [shape=box style="rounded,filled" fillcolor="#eef3fb" color="#33518a"'
-        ' fontname="sans-serif" fontsize=13 margin="0.18,0.1"];',
-        '  edge [fontname="sans-serif" fontsize=10 color="#666666" fontcolor="#333333"];',
-        f'  station [label="{type(world.station).__name__}" fillcolor="#fdf1dc" color="#a8761b"];',
+        ' fontname="sans-serif" fontsize=13 margin="0.15,0.1"];',
+        '  edge [fontname="sans-serif" fontsize=10 color="#555555" fontcolor="#333333"];',
+        *(
+            f'  {name} [label=<{station}> fillcolor="#fdf1dc" color="#a8761b"];'
+            for name in ("station", "station_again")
+        ),
         '  task [label="task" shape=plaintext style="" fontsize=12];',
-        *(f'  {name} [label="{titles[name]}"];' for name in stages),
+        *(f"  {name} [label=<{_title(titles[name], besides[name])}>];" for name in stages),
     ]
-    for (tail, head), labels in sorted(edges.items()):
-        ports = "\\n".join(sorted(labels))
-        # The way back to the station, and the measured position, must not bend the chain.
-        loose = head == "station" or "panda.position_measured" in labels
-        options = f'label="{ports}"' + (" constraint=false" if loose else "")
-        lines.append(f"  {tail} -> {head} [{options}];")
+    for tail, head in sorted(edges.keys() & drawn):
+        label = "\\n".join(sorted(edges[tail, head]))
+        to = "station_again" if head == "station" else head
+        lines.append(f'  {tail} -> {to} [label="{label}" weight={1 if tail == "task" else 10}];')
     return "\n".join([*lines, "}"])
+
+
+def _title(title: str, besides: set[str]) -> str:
+    also = "".join(f"<br/>+ {port}" for port in sorted(besides))
+    return title + (f'<font point-size="10" color="#555555">{also}</font>' if also else "")
 
 
 def _inner_edges(pipeline: Diagram) -> dict[tuple[str, str], set[str]]:

@@ -15,7 +15,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoGrasp
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, gripper_boxes
-from tog_drake.panda_ik import follow_path, inverse_kinematics, within_limits
+from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
 
@@ -35,6 +35,7 @@ REASONS = {
 
 _TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _SELF, _ARM, _FEASIBLE = range(len(REASONS) + 1)
 _HAND_BODIES = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
 _CHUNK = 16  # grasps at a time against the cloud, so that the arrays stay in the cache
@@ -50,8 +51,8 @@ class FeasibilityConfig:
     lift_points: int = 13
     max_joint_step: float = 0.10  # [rad] between neighbouring points
     limit_margin: float = 0.05  # [rad] kept from every joint limit
-    q7_samples: int = 24
-    attempts: int = 5  # configurations tried per grasp, the most convenient first
+    q7_samples: int = 24  # around the circle
+    attempts: int = 6  # configurations tried per grasp, the most convenient first
     opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
     hand_tolerance: float = 0.002  # [m] by which points may enter the hand's boxes: depth noise
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
@@ -71,7 +72,8 @@ def feasible_grasps(
 ) -> FeasibleGrasps:
     """Returns the grasps that can be carried out, in their order, with the paths that do it.
 
-    What happens to one grasp depends on no other grasp.
+    What happens to one grasp depends on no other grasp. Where it is more convenient, a grasp comes
+    back turned by half a turn about z_G: for a hand with two fingers it is the same.
 
     Args:
         grasps: N proposals.
@@ -105,7 +107,7 @@ def feasible_grasps(
     good = fate[rows] == _FEASIBLE
     kept = grasps.take(rows[good])
     return FeasibleGrasps(
-        X_WG=kept.X_WG,
+        X_WG=_turned_like(kept.X_WG, planning_model.X_WG(q_lift[good, 0])),
         width=kept.width,
         score=kept.score,
         p_WContact=kept.p_WContact,
@@ -113,6 +115,12 @@ def feasible_grasps(
         q_lift=q_lift[good],
         rejected=rejected,
     )
+
+
+def _turned_like(X_WG: Array, X_WG_reached: Array) -> Array:
+    """Returns the grasps X_WG (N, 4, 4), turned about z_G where the hand reaches them so."""
+    turned = (X_WG[:, :3, 1] * X_WG_reached[:, :3, 1]).sum(axis=-1) < 0
+    return np.where(turned[:, None, None], X_WG @ _HALF_TURN, X_WG)
 
 
 def _explain(proposed: int, rejected: dict[str, int]) -> str:
@@ -185,7 +193,7 @@ def _carry_out(
     """
     config = world.config
     X_retreat, X_lift = _straight_lines(X_WG, world.planning_model.X_WL0, config)
-    q_grasp = _convenient_configurations(X_lift[:, 0], q_now, config)
+    q_grasp, turned = _convenient_configurations(X_lift[:, 0], q_now, config)
     fate = np.full(len(X_WG), _NO_IK)
     q_approach = np.full((*X_retreat.shape[:2], 7), np.nan)
     q_lift = np.full((*X_lift.shape[:2], 7), np.nan)
@@ -193,8 +201,13 @@ def _carry_out(
         row = np.flatnonzero((fate < _FEASIBLE) & np.isfinite(q_grasp[:, attempt, 0]))
         if len(row) == 0:
             break
+        half_turn = np.where(turned[row, attempt, None, None, None], _HALF_TURN, np.eye(4))
         came_to, q_approach[row], q_lift[row] = _carry_out_from(
-            world, q_grasp[row, attempt], X_retreat[row], X_lift[row], opening[row]
+            world,
+            q_grasp[row, attempt],
+            X_retreat[row] @ half_turn,
+            X_lift[row] @ half_turn,
+            opening[row],
         )
         fate[row] = np.maximum(fate[row], came_to)
     return fate, q_approach, q_lift
@@ -212,21 +225,35 @@ def _straight_lines(X_WG: Array, X_WL0: Array, config: FeasibilityConfig) -> tup
     return np.asarray(X_L0W @ retreat @ X_GH), np.asarray(X_L0W @ lift @ X_GH)
 
 
-def _convenient_configurations(X_L0H: Array, q_now: Array, config: FeasibilityConfig) -> Array:
-    """Returns good configurations for each pose, (N, attempts, 7), nan where there are fewer.
+def _convenient_configurations(
+    X_L0H: Array, q_now: Array, config: FeasibilityConfig
+) -> tuple[Array, Bools]:
+    """Returns good configurations for each pose: near to ``q_now`` and far from the limits.
 
-    Good is near to ``q_now`` and far from the limits.
+    Returns:
+        (N, attempts, 7) [rad], nan where there are fewer, and whether the hand is turned by half a
+        turn about z_G (N, attempts). That is the same grasp, and joint 7 alone does it.
     """
-    margin = config.limit_margin
-    q7 = np.linspace(Q_LOWER[6] + margin, Q_UPPER[6] - margin, config.q7_samples)
-    q = inverse_kinematics(X_L0H, q7).reshape(len(X_L0H), -1, 7)
+    # The whole circle: what is beyond the limits of joint 7 is inside them after half a turn.
+    q7 = np.linspace(-np.pi, np.pi, config.q7_samples, endpoint=False)
+    q = inverse_kinematics(X_L0H, q7).reshape(len(X_L0H), config.q7_samples * BRANCHES, 7)
+    q_turned = q - np.pi * np.sign(q) * (np.arange(7) == 6)
+    cost, cost_turned = (_inconvenience(way, q_now, config) for way in (q, q_turned))
+    turned = cost_turned < cost
+    q, cost = np.where(turned[..., None], q_turned, q), np.minimum(cost, cost_turned)
+    q[np.isinf(cost)] = np.nan
+    ranking = np.argsort(cost, axis=1, kind="stable")[:, ::_APART][:, : config.attempts]
+    return (
+        np.take_along_axis(q, ranking[..., None], axis=1),
+        np.take_along_axis(turned, ranking, axis=1),
+    )
+
+
+def _inconvenience(q: Array, q_now: Array, config: FeasibilityConfig) -> Array:
+    """Returns how far q (..., 7) is from ``q_now`` [rad], plus 1 at a limit; inf outside them."""
     crowding = np.abs(q - (Q_LOWER + Q_UPPER) / 2) / ((Q_UPPER - Q_LOWER) / 2)
     cost = np.linalg.norm(q - q_now, axis=-1) + crowding.max(axis=-1)
-    cost[~within_limits(q, margin)] = np.inf
-    ranking = np.argsort(cost, axis=1, kind="stable")[:, ::_APART][:, : config.attempts]
-    q = np.take_along_axis(q, ranking[..., None], axis=1)
-    q[np.isinf(np.take_along_axis(cost, ranking, axis=1))] = np.nan
-    return q
+    return np.where(within_limits(q, config.limit_margin), cost, np.inf)
 
 
 def _carry_out_from(

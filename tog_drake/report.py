@@ -116,8 +116,8 @@ def _timings(seconds: Mapping[str, float | None]) -> list[tuple[str, float, floa
     return [(text, value, value / longest) for text, value in timed]
 
 
-WIDTH, HEIGHT = 760.0, 312.0  # of the plot, in units of its viewBox
-LEFT, RIGHT, TOP, BOTTOM = 40.0, 36.0, 24.0, 26.0  # margins
+WIDTH, HEIGHT = 760.0, 324.0  # of the plot, in units of its viewBox
+LEFT, RIGHT, TOP, BOTTOM = 40.0, 36.0, 36.0, 26.0  # margins
 HAND_HEIGHT = 46.0  # of the strip with the hand's opening, below the joints
 
 

@@ -6,6 +6,7 @@ Config dataclasses are not frozen, because Drake's YAML loader fills them field 
 """
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -181,7 +182,7 @@ def sampled_directives(scenario: Scenario) -> list[ModelDirective]:
     """Returns the directives of robot and world, with every random pose drawn by the seed."""
     generator = RandomGenerator(scenario.random_seed)
     directives = [robot_directive(scenario)]
-    for directive in scenario.directives:
+    for directive in deepcopy(scenario.directives):
         model = directive.add_model
         if model is not None:
             # Drake hands out a copy of the mapping, so it is assigned as a whole.

@@ -104,6 +104,7 @@ def optimize_spline(
     clearance_and_gradient: ClearanceAndGradient,
     clearance: float,
     config: SplineConfig,
+    leeway: float = np.inf,
 ) -> BsplineTrajectory:
     """Returns the fastest spline from rest to rest that stays inside limits and keeps clear.
 
@@ -117,6 +118,7 @@ def optimize_spline(
         clearance_and_gradient: see ``ClearanceAndGradient``.
         clearance: demanded [m].
         config: see ``SplineConfig``.
+        leeway: how far the spline's control points may move away from the path [rad].
 
     Raises:
         NoPlan: the solver found none, or something that is not finite.
@@ -136,7 +138,12 @@ def optimize_spline(
         trajopt.AddPathAccelerationConstraint(np.zeros(7), np.zeros(7), s)
     _demand_clearance(trajopt, clearance_and_gradient, clearance, config.clearance_samples)
 
-    trajopt.SetInitialGuess(_guess(path, trajopt, config.initial_duration))
+    points = _points_along(path, config.control_points)
+    trajopt.SetInitialGuess(_b_spline(points, config.order, config.initial_duration))
+    if np.isfinite(leeway):
+        trajopt.get_mutable_prog().AddBoundingBoxConstraint(
+            points - leeway, points + leeway, trajopt.control_points()
+        )
     options = SolverOptions()
     solver = SnoptSolver()
     options.SetOption(solver.id(), "Major iterations limit", config.major_iterations)
@@ -176,13 +183,11 @@ def _demand_clearance(
     trajopt.get_mutable_prog().AddConstraint(evaluate, lower, upper, points.ravel())
 
 
-def _guess(path: Array, trajopt: Any, duration: float) -> BsplineTrajectory:
-    """Spreads the control points along the path; three at each end stand for rest."""
-    inner = trajopt.num_control_points() - 6
-    rows = np.linspace(0, len(path) - 1, inner + 2)
+def _points_along(path: Array, count: int) -> Array:
+    """Returns control points (7, count) spread along the path; three at each end stand for rest."""
+    rows = np.linspace(0, len(path) - 1, count - 4)
     along = np.stack([np.interp(rows, np.arange(len(path)), joint) for joint in path.T])
-    points = np.concatenate([along[:, [0, 0]], along, along[:, [-1, -1]]], axis=1)
-    return _b_spline(trajopt, points, duration)
+    return np.concatenate([along[:, [0, 0]], along, along[:, [-1, -1]]], axis=1)
 
 
 def _spline(trajopt: Any, result: MathematicalProgramResult, path: Array) -> BsplineTrajectory:
@@ -195,11 +200,9 @@ def _spline(trajopt: Any, result: MathematicalProgramResult, path: Array) -> Bsp
     if not result.is_success():
         raise NoPlan(f"the optimisation failed ({result.get_solution_result().name})")
     points[:, :3], points[:, -3:] = path[:1].T, path[-1:].T
-    return _b_spline(trajopt, points, float(duration))
+    return _b_spline(points, trajopt.basis().order(), float(duration))
 
 
-def _b_spline(trajopt: Any, points: Array, duration: float) -> BsplineTrajectory:
-    basis = BsplineBasis(
-        trajopt.basis().order(), points.shape[1], KnotVectorType.kClampedUniform, 0.0, duration
-    )
+def _b_spline(points: Array, order: int, duration: float) -> BsplineTrajectory:
+    basis = BsplineBasis(order, points.shape[1], KnotVectorType.kClampedUniform, 0.0, duration)
     return BsplineTrajectory(basis, list(points.T[:, :, None]))

@@ -11,7 +11,7 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 
 from tog_drake.clearance import Scene
 from tog_drake.distance_field import DistanceField
-from tog_drake.errors import NoPlan
+from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
@@ -26,6 +26,7 @@ from tog_drake.values import Array, Choice, FeasibleGrasps, GraspMotion
 
 _RATES = ("velocity", "acceleration", "jerk")
 _LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
+_POSTURE_TOLERANCE = 0.01  # [rad] by which a measured posture may pass a position limit
 _TOLERANCE = 1e-3  # part of a limit that rounding may take more
 
 
@@ -33,14 +34,14 @@ _TOLERANCE = 1e-3  # part of a limit that rounding may take more
 class TrajectoryConfig:
     """How fast the arm moves, and how far it stays from what it sees."""
 
-    speed: float = 0.5  # of the fastest: 0.5 takes twice as long (acceleration ¼, jerk ⅛)
+    speed: float = 0.6  # of the fastest; 0.5 takes twice as long (acceleration ¼, jerk ⅛)
     approach_speed: float = 0.15  # [m/s] of the hand, at most, on the straight way to the grasp
     lift_speed: float = 0.25  # [m/s] of the hand, at most, on the straight way up
     position_margin: float = 0.02  # [rad] kept from the joints' position limits
     clearance: float = 0.01  # [m] from the cloud that is planned for on the way to the pregrasp
     spline: SplineConfig = field(default_factory=SplineConfig)
     path_step: float = 0.05  # [rad] between checked configurations of a path
-    shortcuts: int = 60  # tried on a path that is not straight
+    shortcuts: int = 30  # tried on a path that is not straight
     attempts: int = 5  # paths and splines tried before the arm is sent along a path with stops
     check_step: float = 0.01  # [rad] between checked configurations of the motion
     opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
@@ -76,8 +77,10 @@ def plan_motion(
 
     Raises:
         NoPlan: saying which check failed, where and by how much.
+        InputError: a speed that is none.
     """
     q_approach, q_lift = _joint_paths(choice)
+    _require_plausible(q_now)
     limits = _limits(config, np.vstack([q_now, q_approach, q_lift]))
     points = np.asarray(cloud.xyzs().T, dtype=float)
     opening = min(float(choice.grasp.width[0]) + config.opening_margin, MAX_OPENING)
@@ -120,8 +123,21 @@ def _joint_paths(choice: Choice) -> tuple[Array, Array]:
     return grasp.q_approach[0], grasp.q_lift[0]
 
 
+def _require_plausible(q_now: Array) -> None:
+    """Raises NoPlan for a posture that the arm cannot have; a silent driver reports zeros."""
+    outside = np.maximum(Q_LOWER - q_now, q_now - Q_UPPER)
+    if not outside.max() <= _POSTURE_TOLERANCE:  # NaN is not, either
+        joint = int(np.argmax(np.where(np.isnan(outside), np.inf, outside)))
+        raise NoPlan(
+            f"the arm's present posture is not possible: joint {joint + 1} at {q_now[joint]:.3f} "
+            f"rad, valid are {Q_LOWER[joint]:.3f} to {Q_UPPER[joint]:.3f}; is its driver running?"
+        )
+
+
 def _limits(config: TrajectoryConfig, q: Array) -> JointLimits:
     """The robot's limits at the configured speed, wide enough for the given q (N, 7)."""
+    if not 0 < config.speed <= 1:
+        raise InputError(f"trajectory.speed is {config.speed}; valid: above 0, up to 1")
     lower = np.minimum(Q_LOWER + config.position_margin, q.min(axis=0))
     upper = np.maximum(Q_UPPER - config.position_margin, q.max(axis=0))
     return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(config.speed)
@@ -165,9 +181,12 @@ def _transfer(
         upper = np.minimum(limits.upper, ends.max(axis=0) + spread)
         path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
         path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
+        # The optimisation does not know the robot itself nor the known world: where that fails the
+        # check, it is held ever closer to the path, which does.
+        leeway = np.inf if attempt == 0 else 0.4 / 2**attempt  # [rad]
         try:
             spline = optimize_spline(
-                path, limits, scene.cloud_clearance_and_gradient, clearance, config.spline
+                path, limits, scene.cloud_clearance_and_gradient, clearance, config.spline, leeway
             )
             scene.check(spline, "the way to the pregrasp", config.check_step)
             return spline, f"optimised, attempt {attempt + 1}"

@@ -26,7 +26,7 @@ DECISION = "/decision"  # everything that draw_decision draws is below this path
 MAX_POINTS = 20_000  # of the cloud: 0.4 MB in a static page
 POINT_SIZE = 0.004  # [m]
 PATH_COLOR = (255, 120, 0)
-FAINT_RGBA, FAINT_OPACITY = Rgba(0.35, 0.35, 0.35), 0.3
+FAINT_RGBA, FAINT_OPACITY = Rgba(0.35, 0.35, 0.35), 0.15
 # Radii of bars [m]. WebGL draws every line one pixel wide, so what must stand out is a solid.
 CANDIDATE_RADIUS, CHOICE_RADIUS, PATH_RADIUS, CONTACT_RADIUS = 0.002, 0.0045, 0.002, 0.009
 
@@ -45,7 +45,7 @@ def make_meshcat(*, host: str = "localhost", port: int | None = None) -> Meshcat
     meshcat: Any = Meshcat(MeshcatParams(host=host, port=port, show_stats_plot=False))
     meshcat.SetProperty("/Grid", "visible", False)  # it would flicker in the plane of the table
     meshcat.SetProperty("/Axes", "visible", False)
-    meshcat.SetCameraPose(np.array([1.05, -0.55, 0.55]), np.array([0.38, 0.0, 0.2]))
+    meshcat.SetCameraPose(np.array([0.98, -0.48, 0.5]), np.array([0.36, 0.0, 0.25]))
     started: Meshcat = meshcat
     return started
 

@@ -177,6 +177,7 @@ class _Sweep:
 
 
 REACH = 0.10  # [m] half the span of the profile: half a palm
+HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
 SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of the slab: what a finger may touch
 
 
@@ -368,33 +369,25 @@ def _covered(x: Array, grip: Rows, count: int) -> Array:
 
 
 def _best_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Grasps:
-    """The grasps at which the open hand is free, the best of every anchor first in line."""
-    order = np.lexsort((-found.score, _rank(found)))
-    chosen = np.zeros(0, dtype=np.int64)
-    step = max(1, 200_000 // len(surface.point))  # what fits the cache
-    for start in range(0, len(order), step):
-        batch = order[start : start + step]
-        chosen = np.concatenate(
-            [chosen, batch[_is_free(found.take(batch), surface, config, table)]]
-        )
-        if len(chosen) >= config.max_grasps:
-            break
-    chosen = chosen[: config.max_grasps]
+    """Of the best grasps of each anchor those at which the open hand is free, best first."""
+    found = found.take(np.lexsort((-found.score, found.anchor)))
+    found = found.take(np.flatnonzero(_rank(found.anchor) < config.per_anchor))
+    groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.anchor)) + 1)
+    free = np.concatenate([_is_free(found.take(g), surface, config, table) for g in groups])
+    found = found.take(np.flatnonzero(free))
+    # Every anchor's best grasp comes before any anchor's second, so that no part is left out.
+    chosen = np.lexsort((-found.score, _rank(found.anchor)))[: config.max_grasps]
     best = chosen[np.argsort(-found.score[chosen], kind="stable")]
     return Grasps(*(getattr(found, name)[best] for name in Grasps.__annotations__))
 
 
-def _rank(found: _Found) -> Rows:
-    """The place of each grasp among those of its anchor, by score, from 0."""
-    order = np.lexsort((-found.score, found.anchor))
-    anchor = found.anchor[order]
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order)) - np.searchsorted(anchor, anchor)
-    return rank
+def _rank(group: Rows) -> Rows:
+    """The place of each row within its group, from 0; ``group`` is ascending."""
+    return np.arange(len(group)) - np.searchsorted(group, group)
 
 
 def _is_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Mask:
-    """Whether the open hand touches neither the table nor a point, (N,)."""
+    """Whether the open hand touches neither the table nor a point, for grasps at one anchor."""
     opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
     box = np.array([gripper_boxes(float(o)) for o in opening])  # (N, lower and upper, 4, 3)
     R_WG, p_WG = found.X_WG[:, :3, :3], found.X_WG[:, :3, 3]
@@ -402,12 +395,10 @@ def _is_free(found: _Found, surface: _Surface, config: Antipodal, table: float) 
     drop = np.einsum("nbi,ni->nb", np.diff(box, axis=1)[:, 0] / 2, np.abs(R_WG[:, 2]))
     free = np.asarray(np.all(middle - drop >= table + config.table_clearance - 1e-9, axis=1))
     lower, upper = box[:, 0] - config.clearance, box[:, 1] + config.clearance
-    p_G = np.einsum("nji,pj->nip", R_WG, surface.point, optimize=True)
-    p_G -= np.einsum("nji,nj->ni", R_WG, p_WG)[..., None]
+    near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
+    R_GW = R_WG.transpose(0, 2, 1)
+    p_G = R_GW @ surface.point[near].T - R_GW @ p_WG[..., None]  # (N, 3, points)
     for b in range(box.shape[2]):
-        low, high = lower[:, b, :, None], upper[:, b, :, None]
-        inside = (p_G[:, 0] > low[:, 0]) & (p_G[:, 0] < high[:, 0])
-        for i in (1, 2):
-            inside &= (p_G[:, i] > low[:, i]) & (p_G[:, i] < high[:, i])
-        free &= ~inside.any(axis=1)
+        inside = (p_G > lower[:, b, :, None]) & (p_G < upper[:, b, :, None])
+        free &= ~np.any(inside[:, 0] & inside[:, 1] & inside[:, 2], axis=1)
     return free

@@ -41,8 +41,10 @@ def fit(rgb: NDArray[np.uint8], name: str) -> Array:
         return coloured * np.clip(1.3 * (1.0 - away / reach), 0.0, 1.0)
     if name == "brown":
         away = np.abs((hue - 25.0 + 180.0) % 360.0 - 180.0)
-        return np.clip(1.3 * (1 - away / 25.0), 0, 1) * _ramp(saturation, 0.15, 0.3) * _ramp(
-            value, 0.8, 0.6
+        return (
+            np.clip(1.3 * (1 - away / 25.0), 0, 1)
+            * _ramp(saturation, 0.15, 0.3)
+            * _ramp(value, 0.8, 0.6)
         )
     plain = 1.0 - _ramp(saturation, 0.15, 0.35)
     if name == "black":

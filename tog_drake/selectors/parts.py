@@ -33,8 +33,8 @@ CIRCLE_TOLERANCE = 0.004  # [m]
 PROTRUSION = 0.008  # [m] beyond the circle begins the handle
 
 
-class PartNotFound(Exception):  # noqa: N818: an answer, not a failure; never leaves the selector
-    """The shape does not show the part; the message says why."""
+class PartNotFound(Exception):  # noqa: N818
+    """The shape does not show the part; the message says why. It never leaves the selector."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,9 @@ def _rules() -> dict[str, Rule]:
         Rule("tool", "shaft", "thin"): "screwdriver awl soldering",
         Rule("tool", "blade", "thin"): "knife chisel scissors file saw",
         Rule("vessel"): "mug cup pitcher jug teapot kettle pot",
-        Rule("bottle"): "bottle ketchup mustard milk lotion glue cleanser bleach shampoo jar tube "
+        Rule(
+            "bottle", "cap"
+        ): "bottle ketchup mustard milk lotion glue cleanser bleach shampoo jar tube "
         "conditioner sauce dressing honey",
         Rule("drill"): "drill",
         Rule("animal"): "toy dinosaur dino brontosaurus triceratops spinosaurus therizinosaurus "
@@ -65,6 +67,14 @@ def _rules() -> dict[str, Rule]:
 
 
 RULES = _rules()
+HOLD_FOR_USE: dict[Kind, str] = {
+    "tool": "handle",
+    "vessel": "handle",
+    "bottle": "body",
+    "drill": "handle",
+    "animal": "body",
+}
+"""Where a thing is held to be used."""
 
 # Words for the end of a tool that does the work, and for the end that is held.
 _WORKING_WORDS = {"head", "blade", "bowl", "bristles", "body", "claw", "tip", "rim", "base"}
@@ -97,6 +107,24 @@ def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
     if circle is not None and _protrusion(points, circle) is not None:
         return Rule("vessel"), "round with something sticking out: a vessel"
     raise PartNotFound("its shape is neither long, nor round with a handle, nor upright")
+
+
+def fits_kind(points: Array, kind: Kind) -> bool:
+    """Whether the shape could be of the kind; coarse, to tell one thing from its neighbours."""
+    frame = _Frame(points)
+    if kind == "bottle":
+        return frame.upright and frame.height > 0.08
+    if kind == "tool":
+        return frame.length > 0.12 and frame.length > MIN_ELONGATION * max(
+            frame.width, frame.height
+        )
+    if kind == "animal":
+        return frame.length > 1.3 * frame.width and frame.height > 0.03 and not frame.upright
+    try:
+        find_part(points, "handle", Rule(kind))
+    except PartNotFound:
+        return False
+    return True
 
 
 def find_part(points: Array, part: str, rule: Rule) -> Region:

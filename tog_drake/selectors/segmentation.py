@@ -18,7 +18,9 @@ MIN_POINTS = 60  # a smaller cluster is a speck
 MIN_HEIGHT = 0.008  # [m] a cluster that rises no higher is table
 MAX_LENGTH, MAX_WIDTH = 0.38, 0.26  # [m] what is longer or wider than this is a heap of things
 PATCH = 0.008  # [m] a heap is cut along patches of this size
-HIDDEN_GAP = 0.06  # [m] what floats hangs on something at most this far away
+FLOATING = 0.015  # [m] above the table: what starts higher hangs on something hidden ...
+HIDDEN_GAP = 0.06  # [m] ... at most this far away
+MIN_FLOATING_POINTS = 12
 
 
 def segment(points: Array, normals: Array, chroma: Array) -> Labels:
@@ -61,9 +63,9 @@ def _join_floating(points: Array, chroma: Array, label: Labels) -> Labels:
     """Joins what floats to the nearest thing of like colour: what holds it up is hidden."""
     label = label.copy()
     count = np.bincount(label)
-    for floating in np.flatnonzero(count >= MIN_POINTS):
+    for floating in np.flatnonzero(count >= MIN_FLOATING_POINTS):
         mine = label == floating
-        if points[mine, 2].min() < HIDDEN_GAP / 2:
+        if points[mine, 2].min() < FLOATING:
             continue
         others = np.flatnonzero(~mine & (count[label] >= MIN_POINTS))
         if len(others) == 0:

@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.trajectories import PiecewisePolynomial
+
+from tog_drake.errors import NoPlan
+from tog_drake.executor import ExecutorConfig, GraspExecutor, Phase
+from tog_drake.values import GraspMotion
+
+Q_NOW = np.linspace(-0.3, 0.3, 7)
+Q_END = Q_NOW + 0.1
+
+
+def _motion(duration=0.5):
+    line = PiecewisePolynomial.FirstOrderHold([0.0, duration], np.column_stack([Q_NOW, Q_END]))
+    hand = PiecewisePolynomial.FirstOrderHold([0.0, duration], [[0.08, -0.02]])
+    return GraspMotion(line, hand, duration, {"lift": 0.2})
+
+
+class _Planner(LeafSystem):
+    """Gives a motion, and counts how often it was asked."""
+
+    def __init__(self, error=None):
+        super().__init__()
+        self.calls = 0
+        self._error = error
+        self.DeclareAbstractOutputPort("motion", lambda: Value(GraspMotion.still()), self._Calc)
+
+    def _Calc(self, context, output):
+        self.calls += 1
+        if self._error:
+            raise self._error
+        output.set_value(_motion())
+
+
+class _Arm(LeafSystem):
+    """An arm that follows its command with an offset that a test can set."""
+
+    def __init__(self):
+        super().__init__()
+        self.offset = np.zeros(7)
+        self.DeclareVectorOutputPort("q", 7, self._Calc)
+        self.position = Q_NOW.copy()
+
+    def _Calc(self, context, output):
+        output.SetFromVector(self.position + self.offset)
+
+
+def _world(config=None, error=None):
+    builder = DiagramBuilder()
+    planner = builder.AddSystem(_Planner(error))
+    arm = builder.AddSystem(_Arm())
+    executor = builder.AddSystem(GraspExecutor(config or ExecutorConfig(look_time=0.1)))
+    builder.Connect(planner.get_output_port(), executor.GetInputPort("motion"))
+    builder.Connect(arm.get_output_port(), executor.GetInputPort("panda.position_measured"))
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    context = executor.GetMyContextFromRoot(simulator.get_context())
+    return simulator, executor, context, planner, arm
+
+
+def _commands(executor, context):
+    arm = executor.GetOutputPort("panda.position").Eval(context)
+    hand = executor.GetOutputPort("hand.position").Eval(context)
+    return arm.copy(), float(hand[0])
+
+
+def test_first_command_is_the_measured_position_before_any_update():
+    _, executor, context, _, _ = _world()
+    arm, hand = _commands(executor, context)
+    np.testing.assert_array_equal(arm, Q_NOW)
+    assert hand == pytest.approx(0.08)
+
+
+def test_it_stands_still_and_asks_for_no_motion_until_the_look():
+    simulator, executor, context, planner, arm = _world()
+    simulator.AdvanceTo(0.05)
+    arm.offset = np.full(7, 0.01)  # a drift of the measurement must not become a command
+    simulator.AdvanceTo(0.09)
+    np.testing.assert_array_equal(_commands(executor, context)[0], Q_NOW)
+    assert planner.calls == 0
+
+
+def test_the_chain_is_pulled_once():
+    simulator, _, _, planner, _ = _world(ExecutorConfig(look_time=0.1, max_tracking_error=10))
+    simulator.AdvanceTo(1.0)
+    assert planner.calls == 1
+
+
+def test_motion_starts_one_update_after_planning_and_ends_at_its_end():
+    simulator, executor, context, _, _ = _world(
+        ExecutorConfig(look_time=0.1, period=0.01, max_tracking_error=10)
+    )
+    simulator.AdvanceTo(0.105)
+    assert executor.state(context).phase is Phase.READY
+    np.testing.assert_array_equal(_commands(executor, context)[0], Q_NOW)
+    simulator.AdvanceTo(0.115)
+    state = executor.state(context)
+    assert state.phase is Phase.MOVE
+    assert state.start_time == pytest.approx(0.11)
+    simulator.AdvanceTo(0.36)  # half way
+    np.testing.assert_allclose(_commands(executor, context)[0], (Q_NOW + Q_END) / 2, atol=1e-9)
+    simulator.AdvanceTo(1.0)
+    assert executor.state(context).phase is Phase.DONE
+    arm, hand = _commands(executor, context)
+    np.testing.assert_allclose(arm, Q_END, atol=1e-12)
+    assert hand == pytest.approx(-0.02)
+
+
+def test_an_arm_that_does_not_follow_is_stopped_where_it_is():
+    simulator, executor, context, _, arm = _world(
+        ExecutorConfig(look_time=0.1, max_tracking_error=0.05)
+    )
+    simulator.AdvanceTo(0.6)  # the arm of this test never moves
+    state = executor.state(context)
+    assert state.phase is Phase.FAILED
+    np.testing.assert_array_equal(_commands(executor, context)[0], arm.position)
+
+
+def test_an_error_of_a_stage_reaches_the_caller_unchanged():
+    simulator, *_ = _world(error=NoPlan("blocked by a wall"))
+    with pytest.raises(NoPlan, match="blocked by a wall"):
+        simulator.AdvanceTo(0.5)
+
+
+def test_nothing_feeds_through_from_the_motion_to_the_command():
+    executor = GraspExecutor(ExecutorConfig())
+    motion = executor.GetInputPort("motion").get_index()
+    for name in ("panda.position", "hand.position"):
+        assert not executor.HasDirectFeedthrough(motion, executor.GetOutputPort(name).get_index())

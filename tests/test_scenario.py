@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tog_drake.errors import InputError
+from tog_drake.pipeline import Antipodal, Oracle, Random
+from tog_drake.scenario import (
+    DrakeModels,
+    Scenario,
+    camera_configs,
+    load_scenario,
+    model_files,
+    parse_scenario,
+    sampled_directives,
+    scenario_files,
+)
+
+
+def _parse(text):
+    return parse_scenario(text, "test.yaml", Scenario())
+
+
+def _pose(scenario):
+    added = [d.add_model for d in sampled_directives(scenario) if d.add_model is not None]
+    (pose,) = added[0].default_free_body_pose.values()
+    return pose.GetDeterministicValue()
+
+
+def test_every_object_has_a_scenario_that_loads():
+    assert set(scenario_files()) >= {
+        "Hammer", "Mug", "Screwdriver", "Spoon", "Spatula", "Brush", "ToyDinosaur"
+    }  # fmt: skip
+    for name in scenario_files():
+        scenario = load_scenario(name)
+        for file in model_files(scenario).values():
+            assert file.is_file()
+
+
+def test_an_unknown_scenario_names_the_valid_ones():
+    with pytest.raises(InputError, match=r"'Hamer'.*Brush.*Hammer"):
+        load_scenario("Hamer")
+
+
+def test_text_overrides_single_fields_and_keeps_the_others():
+    scenario = load_scenario("Hammer", "pipeline: {candidates: {k: 3}, selector: !Random {}}")
+    assert scenario.pipeline.candidates.k == 3
+    assert scenario.pipeline.candidates.k_max == 8
+    assert isinstance(scenario.pipeline.selector, Random)
+    assert "hammer" in model_files(scenario)
+
+
+def test_tags_choose_alternatives_also_where_there_is_only_one():
+    scenario = _parse("pipeline: {proposer: !Antipodal {}, selector: !Oracle {}}")
+    assert isinstance(scenario.pipeline.proposer, Antipodal)
+    assert isinstance(scenario.pipeline.selector, Oracle)
+    assert isinstance(_parse("robot: !DrakeModels {}").robot, DrakeModels)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sede: 3", r"no field 'sede'.*valid: random_seed, .*pipeline"),
+        ("random_sed: 3", r"did you mean random_seed\?"),
+        ("pipeline: {clod: {}}", r"pipeline has no field 'clod' \(did you mean cloud\?\)"),
+        ("pipeline: {cloud: {voxl: 1}}", r"pipeline\.cloud has no field 'voxl'.*voxel"),
+        ("pipeline: {selector: !Best {}}", r"unknown tag !Best; valid: !Geometric, !TopScore"),
+        ("pipeline: {proposer: !Gpd {}}", r"unknown tag !Gpd; valid: !Antipodal"),
+        ("robot: !Kuka {}", r"unknown tag !Kuka; valid: !Primitives, !DrakeModels"),
+        ("random_seed: many", r"random_seed must be a whole number, not 'many'"),
+        ("pipeline: 3", r"pipeline must be a mapping of fields, not '3'"),
+        ("directives: {}", r"directives must be a list, not a mapping"),
+        ("cameras: {wrist: !L515 {res: 1}}", r"cameras\.wrist has no field 'res'.*resolution"),
+        ("plant_config: {time_stepp: 1}", r"plant_config has no field 'time_stepp'"),
+        ("plant_config: {discrete_contact_approximation: tamsi}", "valid: lagged, similar, sap"),
+        ("a: [", "not valid YAML"),
+        ("a: &x 1\nb: *x", "aliases"),
+        ("- 1", "must be a mapping"),
+    ],
+)
+def test_what_is_wrong_with_a_scenario_is_said_with_what_would_be_right(text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        _parse(text)
+    assert "test.yaml" in str(caught.value)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet=st.sampled_from("ab:{}[]!&*-|>'\"\n ,#%@0"), max_size=40))
+def test_no_text_makes_the_parser_fail_otherwise(text):
+    try:
+        _parse(text)
+    except InputError:
+        pass
+
+
+def test_the_pose_of_an_object_is_drawn_by_the_seed():
+    poses = [_pose(load_scenario("Hammer", f"random_seed: {seed}")) for seed in (0, 0, 1)]
+    assert poses[0].IsExactlyEqualTo(poses[1])
+    assert not poses[0].IsNearlyEqualTo(poses[2], 1e-3)
+
+
+def test_drawing_a_pose_leaves_the_scenario_as_it_was():
+    scenario = load_scenario("Hammer")
+    sampled_directives(scenario)
+    (model,) = [d.add_model for d in scenario.directives if d.add_model is not None]
+    assert not next(iter(model.default_free_body_pose.values())).IsDeterministic()
+
+
+@pytest.mark.parametrize(("resolution", "size"), [("640x480", (640, 480)), ("1280x720", (1280, 720))])
+def test_the_camera_sees_43_degrees_high_from_a_quarter_metre_on(resolution, size):
+    scenario = _parse(f"cameras: {{wrist: !L515 {{resolution: {resolution}}}}}")
+    color, depth = camera_configs(scenario)["wrist"].MakeCameras()
+    info = color.core().intrinsics()
+    assert (info.width(), info.height()) == size
+    assert np.degrees(info.fov_y()) == pytest.approx(43, abs=0.1)
+    assert depth.depth_range().min_depth() == pytest.approx(0.25)
+    if resolution == "1280x720":
+        assert np.degrees(info.fov_x()) == pytest.approx(70, abs=0.1)
+
+
+def test_an_unknown_resolution_names_the_presets():
+    with pytest.raises(InputError, match=r"'9x9'.*1280x720, 640x480"):
+        camera_configs(_parse("cameras: {wrist: !L515 {resolution: 9x9}}"))

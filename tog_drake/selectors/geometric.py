@@ -1,0 +1,181 @@
+"""The geometric selector: words and shape, no model and no ground truth.
+
+It reads which object, which part and which intent the task names, cuts the cloud into things,
+finds the one that is meant by its colour and shape, finds the part by shape, and takes the best
+grasp there. What it cannot resolve it says; it never guesses silently.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.perception import PointCloud
+from scipy.spatial import cKDTree
+
+from tog_drake.errors import NoChoice
+from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH
+from tog_drake.selector import choose
+from tog_drake.selectors.colour import chromaticity
+from tog_drake.selectors.parts import (
+    HOLD_FOR_USE,
+    Mask,
+    PartNotFound,
+    Rule,
+    find_part,
+    rule_of,
+)
+from tog_drake.selectors.segmentation import segment
+from tog_drake.selectors.targets import find_target
+from tog_drake.task import TaskReading, read_task
+from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, Grasps, View, Workspace
+
+REACH = 0.012  # [m] a contact farther from the target's points than this is not on it
+
+
+@dataclass
+class Geometric:
+    """Reads words and shape; needs neither a model nor the network."""
+
+    min_on_part: float = 0.7
+    """A grasp is on a part when at least this share of the points between the pads is."""
+    margin: float = 0.02
+    """[m] A grasp this far inside its part is as good as any; nearer its edge it counts less."""
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Where on the target to grasp."""
+
+    mask: Mask  # (M,) of the target's points
+    part: str | None
+    status: ChoiceStatus
+    how: str
+
+
+class GeometricSelector:
+    """Chooses by the words of the task and the shape of the cloud."""
+
+    def __init__(self, config: Geometric, workspace: Workspace):
+        self._config = config
+        self._table = workspace.table_height
+
+    def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
+        """Returns the best grasp on the part that the task asks for.
+
+        Its status is "part_not_found" or "no_grasp_on_part" where the part could not be had and
+        another grasp on the same object was taken, "unclear_task" where the words ask for nothing
+        in particular.
+
+        Raises NoChoice where it cannot tell which object is meant or no grasp is on it, InputError
+        where the task is empty.
+        """
+        reading = read_task(task)
+        grasps = candidates.grasps
+        if len(grasps) == 0:
+            raise NoChoice("There is no feasible grasp to choose from.")
+        points = np.asarray(cloud.xyzs().T, dtype=np.float64) - [0.0, 0.0, self._table]
+        rgb = np.asarray(cloud.rgbs().T, dtype=np.uint8)
+        label = segment(points, np.asarray(cloud.normals().T, np.float64), chromaticity(rgb))
+        target = find_target(reading, points, rgb, label)
+        grasps = _lowered(grasps, self._table)
+        on_target = _on_target(grasps, points, target.mask)
+        if not on_target.any():
+            raise NoChoice(f"{target.how}; none of {len(grasps)} feasible grasps is on it.")
+        thing = points[target.mask]
+        wanted = _wanted(reading, thing)
+        value, on_part = self._rate(grasps, thing, wanted.mask)
+        status, how = wanted.status, wanted.how
+        fits = on_target & on_part
+        if not fits.any():
+            how += f"; none of {on_target.sum()} grasps on the object is there: the nearest instead"
+            status, fits = "no_grasp_on_part" if status == "ok" else status, on_target
+        index = int(np.argmax(np.where(fits, value, -1.0)))
+        reason = f"{target.how}; {how}; best of {fits.sum()} grasps."
+        return choose(
+            index,
+            view,
+            candidates,
+            reason[:1].upper() + reason[1:],
+            status=status,
+            part=wanted.part,
+        )
+
+    def _rate(self, grasps: Grasps, thing: Array, part: Mask) -> tuple[Array, Mask]:
+        """The worth (N,) of each grasp, and whether (N,) it is on the part."""
+        between = _between(grasps, thing)
+        count = between.sum(axis=1)
+        contact = part[cKDTree(thing).query(grasps.p_WContact)[1]]
+        share = np.where(count > 0, (between & part).sum(axis=1) / np.maximum(count, 1), contact)
+        margin = np.ones(len(grasps))
+        if not part.all() and part.any():
+            depth = cKDTree(thing[~part]).query(grasps.X_WG[:, :3, 3])[0]
+            margin = np.minimum(depth / self._config.margin, 1.0)
+        value = grasps.score * (0.1 + share) * (0.5 + 0.5 * margin)
+        return value, contact & (share >= self._config.min_on_part)
+
+
+def _lowered(grasps: Grasps, table: float) -> Grasps:
+    """The grasps in a frame with the table at z = 0."""
+    X = grasps.X_WG.copy()
+    X[:, 2, 3] -= table
+    return Grasps(X, grasps.width, grasps.score, grasps.p_WContact - [0.0, 0.0, table])
+
+
+def _on_target(grasps: Grasps, points: Array, target: Mask) -> Mask:
+    """Whether (N,) the contact of each grasp is on the target, and nothing else nearer to it."""
+    contact = grasps.p_WContact
+    near = cKDTree(points[target]).query(contact)[0]
+    on = near < REACH
+    if not target.all():
+        on &= near <= cKDTree(points[~target]).query(contact)[0]
+    return np.asarray(on)
+
+
+def _between(grasps: Grasps, points: Array) -> Mask:
+    """Which points (N, M) lie between the pads of each grasp, or just in front of the palm."""
+    R = grasps.X_WG[:, :3, :3].astype(np.float32)
+    origin = np.einsum("nji,nj->ni", grasps.X_WG[:, :3, :3], grasps.X_WG[:, :3, 3])
+    p_G = np.tensordot(R, points.astype(np.float32), axes=(1, 1))  # (N, 3, M)
+    p_G -= origin.astype(np.float32)[:, :, None]
+    half = (grasps.width.astype(np.float32) / 2 + 0.006)[:, None]
+    x, y, z = p_G[:, 0], p_G[:, 1], p_G[:, 2]
+    inside = (np.abs(x) < PAD_WIDTH / 2) & (np.abs(y) < half)
+    return np.asarray(inside & (z > -0.015) & (z < FINGERTIP_Z + 0.003))
+
+
+def _wanted(reading: TaskReading, thing: Array) -> _Wanted:
+    """Where the task asks to grasp the target; everywhere where it does not say."""
+    everywhere = np.ones(len(thing), dtype=bool)
+    if not (reading.parts or reading.avoid or reading.intent in {"use", "handover"}):
+        if reading.intent == "hold":
+            return _Wanted(everywhere, None, "ok", "the task names no part, so any will do")
+        return _Wanted(everywhere, None, "unclear_task", "the task says neither part nor purpose")
+    try:
+        rule, how = rule_of(reading.objects, thing)
+        mask, avoided = everywhere, _avoid(reading, thing, rule)
+        part = None
+        names = _names(reading, rule)
+        if names:
+            regions = {name: find_part(thing, name, rule) for name in names}
+            mask = np.any([region.mask for region in regions.values()], axis=0)
+            part = " or ".join(regions)
+            how += "; " + "; ".join(region.how for region in regions.values())
+    except PartNotFound as not_found:
+        how = f"{not_found}: any grasp on the object instead"
+        return _Wanted(everywhere, None, "part_not_found", how)
+    if avoided.any():
+        how += f"; away from the {' and '.join(reading.avoid)}"
+    return _Wanted(mask & ~avoided, part, "ok", how)
+
+
+def _names(reading: TaskReading, rule: Rule) -> tuple[str, ...]:
+    """The parts to hold: those named, else that of the intent unless it is to be avoided."""
+    if reading.parts:
+        return reading.parts
+    by_intent = {"use": HOLD_FOR_USE[rule.kind], "handover": rule.working}
+    part = by_intent.get(reading.intent or "")
+    return (part,) if part is not None and part not in reading.avoid else ()
+
+
+def _avoid(reading: TaskReading, thing: Array, rule: Rule) -> Mask:
+    masks = [find_part(thing, part, rule).mask for part in reading.avoid]
+    return np.asarray(np.any([np.zeros(len(thing), dtype=bool), *masks], axis=0))
