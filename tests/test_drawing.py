@@ -183,8 +183,11 @@ def test_the_choice_has_a_dot_at_its_contact_point():
     image = decision_image(make_view(), candidates, choice).astype(int)
     u, v = 1200 * 0.1 + 319.5, 1200 * 0.14 + 239.5
     assert image[pixel(u, v)].tolist() == list(candidate_color(1))
-    around = [image[pixel(u + 5.5 * np.cos(a), v + 5.5 * np.sin(a))].min() for a in range(6)]
-    assert min(around) > 200  # its white ring
+    for angle in np.arange(0, 6):
+        ray = [
+            image[pixel(u + r * np.cos(angle), v + r * np.sin(angle))].min() for r in range(4, 8)
+        ]
+        assert max(ray) > 200  # its white ring
 
 
 def test_a_choice_that_is_no_candidate_is_white():

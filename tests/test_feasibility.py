@@ -4,18 +4,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from pydrake.common.schema import Transform
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_load_typed
-from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import LoadModelDirectives
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import LoadModelDirectivesFromString
 from pydrake.perception import PointCloud
 
 from tog_drake.errors import NoFeasibleGrasp, NoGrasp
 from tog_drake.feasibility import REASONS, FeasibilityConfig, FeasibilityFilter, feasible_grasps
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
-from tog_drake.planning_model import DEFAULT_DIRECTIVES, MakePlanningModel
-from tog_drake.resources import resource_dir
+from tog_drake.planning_model import MakePlanningModel
 from tog_drake.values import FeasibleGrasps, Grasps, Workspace
 
 CONFIG = FeasibilityConfig()
@@ -244,14 +242,25 @@ def test_the_hand_comes_the_other_way_round_where_that_saves_half_a_turn():
     np.testing.assert_allclose(planning_model().X_WG(result.q_grasp), result.X_WG, atol=1e-9)
 
 
+MOVED_BASE = """
+directives:
+- add_directives: { file: package://tog_drake/scenes/table.dmd.yaml }
+- add_model: { name: panda, file: package://tog_drake/panda/panda_arm.urdf }
+- add_weld:
+    parent: world
+    child: panda::panda_link0
+    X_PC: { translation: [0.1, -0.6, 0.0], rotation: !Rpy { deg: [0, 0, 60] } }
+- add_model: { name: hand, file: package://tog_drake/panda/panda_hand.urdf }
+- add_weld:
+    parent: panda::panda_link8
+    child: hand::panda_hand
+    X_PC: { rotation: !Rpy { deg: [0, 0, -45] } }
+"""
+
+
 def test_a_moved_base_is_respected():
-    X_WL0 = RigidTransform([0.1, -0.6, 0.0])
-    directives = LoadModelDirectives(str(resource_dir("models") / DEFAULT_DIRECTIVES)).directives
-    for directive in directives:
-        if directive.add_weld and directive.add_weld.child == "panda::panda_link0":
-            directive.add_weld.X_PC = Transform(X_WL0)
-    moved = MakePlanningModel(directives)
-    np.testing.assert_allclose(moved.X_WL0, X_WL0.GetAsMatrix4(), atol=1e-12)
+    moved = MakePlanningModel(LoadModelDirectivesFromString(MOVED_BASE).directives)
+    X_WL0 = RigidTransform(RollPitchYaw(0, 0, np.pi / 3), [0.1, -0.6, 0.0])
     here = solve(make_grasps(pose([0.5, 0.0, 0.05])))
     X_there = X_WL0.GetAsMatrix4() @ pose([0.5, 0.0, 0.05])
     there = feasible_grasps(make_grasps(X_there), make_cloud(), Q_NOW, moved, CONFIG)

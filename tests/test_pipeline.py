@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
@@ -84,16 +86,19 @@ def test_the_executor_moves_by_the_motion_that_was_decided_without_deciding_agai
 
 def test_the_oracle_needs_a_simulation():
     config = PipelineConfig(selector=Oracle())
-    with pytest.raises(InputError, match="simulated part labels.*geometric, top-score, random"):
+    with pytest.raises(InputError, match=r"simulated part labels.*geometric, top-score, random"):
         make_selector(config, seed=0)
 
 
 def test_no_stage_imports_another_stage_a_station_or_the_scenario():
-    stages = ("camera cloud proposer feasibility candidates selector trajectory executor").split()
-    package = tog_drake.pipeline.__file__.rsplit("/", 1)[0]
+    stages = (
+        "camera", "cloud", "proposer", "feasibility", "candidates", "selector", "trajectory",
+        "executor",
+    )  # fmt: skip
+    package = Path(tog_drake.pipeline.__file__).parent
     for stage in stages:
-        with open(f"{package}/{stage}.py", encoding="utf-8") as file:
-            imports = [line for line in file if line.startswith(("from tog_drake", "import tog"))]
+        lines = (package / f"{stage}.py").read_text(encoding="utf-8").splitlines()
+        imports = [line for line in lines if line.startswith(("from tog_drake", "import tog"))]
         for other in (*stages, "stations", "scenario", "episode", "pipeline"):
             assert not any(
                 f"tog_drake.{other} " in line or f"tog_drake.{other}." in line for line in imports

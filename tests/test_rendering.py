@@ -32,5 +32,5 @@ def test_a_missing_egl_library_is_named_with_its_package(monkeypatch):
 
 def test_a_missing_driver_is_named_before_anything_crashes(monkeypatch):
     monkeypatch.setattr(rendering, "_initializes", lambda egl, display: False)
-    with pytest.raises(InputError, match="no graphics driver.*libgl1-mesa-dri"):
+    with pytest.raises(InputError, match=r"no graphics driver.*libgl1-mesa-dri"):
         rendering.make_render_engine(Rgba(1, 1, 1, 1))

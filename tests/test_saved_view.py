@@ -63,7 +63,10 @@ BAD = {
     "rgb is text": (lambda f: f["rgb"].write_text("hello"), "as a colour image"),
     "depth is text": (lambda f: f["depth"].write_text("hello"), "as depth"),
     "all holes": (lambda f: _write_depth(f, np.zeros((48, 64), np.uint16)), "all holes"),
-    "sizes differ": (lambda f: _write_depth(f, np.full((24, 64), 500, np.uint16)), "differ in size"),
+    "sizes differ": (
+        lambda f: _write_depth(f, np.full((24, 64), 500, np.uint16)),
+        "differ in size",
+    ),
     "8-bit depth": (lambda f: _write_depth(f, np.ones((48, 64), np.uint8)), "uint16 or float32"),
     "colour depth": (lambda f: _write_depth(f, np.ones((48, 64, 3), np.uint16)), "one channel"),
     "wrong scale": (lambda f: _write_depth(f, np.full((48, 64), 60000, np.uint16)), "depth-scale"),

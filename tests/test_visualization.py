@@ -151,3 +151,16 @@ def test_a_replay_shows_the_decision_from_when_it_was_made_until_the_hand_closes
     assert sorted(tracks) == sorted(
         [(0, False), (10, True), (30, True), (0, True), (20, False), (30, False)]
     )
+
+
+def test_a_motion_that_stopped_before_closing_keeps_its_drawing(meshcat):
+    draw_decision(meshcat, choice=make_decision()[1])
+    meshcat.StartRecording(frames_per_second=10.0)
+    page = replay_html(meshcat, duration=3.0, decided=1.0, closed=4.0)
+    (animation,) = (message for message in messages(page) if b"set_animation" in message)
+    assert b"/decision" in animation and b"/decision/seen" not in animation
+
+
+def test_a_taken_port_is_an_error(meshcat):
+    with pytest.raises(RuntimeError):
+        make_meshcat(port=int(meshcat.web_url().rsplit(":", 1)[1]))

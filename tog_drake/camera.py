@@ -4,13 +4,13 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem
-from pydrake.systems.sensors import ImageDepth32F, ImageRgba8U
+from pydrake.systems.sensors import CameraInfo, ImageDepth32F, ImageRgba8U
 
 from tog_drake.errors import InputError
 from tog_drake.pinhole import project, unproject
 from tog_drake.values import Intrinsics, View
 
-__all__ = ["Camera", "project", "unproject"]
+__all__ = ["Camera", "project", "rendered_intrinsics", "unproject"]
 
 
 class Camera(LeafSystem):
@@ -69,3 +69,19 @@ class Camera(LeafSystem):
                 f"{expected[1]}×{expected[0]}: make the camera's width and height agree with its "
                 "intrinsics (0×0 means that no image has arrived yet)"
             )
+
+
+def rendered_intrinsics(info: CameraInfo) -> Intrinsics:
+    """Returns the pinhole model of the images that Drake renders for ``info``.
+
+    Drake's renderer measures the principal point from the image's corner, half a pixel before the
+    middle of the first pixel, from which ``Intrinsics`` counts; a test shows it.
+    """
+    return Intrinsics(
+        width=info.width(),
+        height=info.height(),
+        fx=info.focal_x(),
+        fy=info.focal_y(),
+        cx=info.center_x() - 0.5,
+        cy=info.center_y() - 0.5,
+    )

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_sel
 from tog_drake.table import find_table
 from tog_drake.task import read_task
 from tog_drake.values import Array, View
-from dataclasses import replace
 
 GRASPS_SCHEMA = "tog_drake/grasps/1"
 
@@ -47,9 +47,7 @@ def choose_on_view(
         finally:
             seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
-    table = timed(
-        "cloud", lambda: find_table(view, seed, up=None if X_WC is None else X_WC[2, :3])
-    )
+    table = timed("cloud", lambda: find_table(view, seed, up=None if X_WC is None else X_WC[2, :3]))
     view = replace(view, X_WC=table.X_WC)
     config = replace(config, workspace=table.workspace)
     selector = make_selector(config, seed)
@@ -66,9 +64,7 @@ def choose_on_view(
             )
         candidates = timed("candidates", lambda: pick_candidates(grasps, config.candidates, seed))
         decision.candidates = candidates
-        decision.choice = timed(
-            "select", lambda: selector.select(view, cloud, candidates, task)
-        )
+        decision.choice = timed("select", lambda: selector.select(view, cloud, candidates, task))
     except EpisodeError as error:
         decision.error = error
     return decision

@@ -14,6 +14,7 @@ from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array
 
 _ARM = "panda_link"  # how the names of the arm's bodies begin; all others belong to the hand
+_NEAR = 0.05  # [m] bodies farther apart than this do not explain a collision
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,21 @@ class Scene:
         free = self.planning_model.check_configs(q, self.opening)
         if not free.all():
             i = int(np.argmin(free))
-            depth = -1e3 * self.planning_model.clearance(q[i : i + 1], self.opening)[0]
-            return i, f"the robot touches itself or the known world, by {depth:.0f} mm"
+            return i, self._known_contact(q[i])
         return None
+
+    def _known_contact(self, q: Array) -> str:
+        """Says which known bodies touch at q (7,)."""
+        model = self.planning_model
+        positions = model.full_positions(q, self.opening)
+        try:
+            found = model.checker.CalcRobotClearance(positions, influence_distance=_NEAR)
+        except RuntimeError as error:  # FCL gives up on a few degenerate contacts
+            return f"a distance between known bodies cannot be computed ({error})"
+        nearest = int(np.argmin(found.distances()))
+        pair = found.robot_indices()[nearest], found.other_indices()[nearest]
+        names = " and ".join(model.plant.get_body(index).name() for index in pair)
+        return f"{names} collide, by {-1e3 * found.distances()[nearest]:.0f} mm"
 
     def _spheres_clearance(self, q: Array, with_hand: bool) -> tuple[Array, Array]:
         """Returns the clearance (N, S) of each sphere and its centre (N, S, 3) in W."""

@@ -1,11 +1,13 @@
 """The command ``tog``. Heavy imports happen inside the subcommands: ``tog --help`` stays quick."""
 
 import json
+import logging
 import signal
 import sys
 import traceback
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -14,6 +16,7 @@ from rich.table import Table
 from tog_drake.errors import InputError, TogError
 
 if TYPE_CHECKING:
+    from tog_drake.pipeline import PipelineConfig
     from tog_drake.record import EpisodeRecord
     from tog_drake.scenario import Scenario
 
@@ -31,8 +34,7 @@ DEMO_TASKS = {
     "use": "use the hammer to drive a nail",
     "handover": "hand me the hammer",
 }
-SELECTORS = ("geometric", "top-score", "random", "oracle")
-PROPOSERS = ("antipodal",)
+T = TypeVar("T")
 
 ScenarioOption = Annotated[
     str | None, typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file.")
@@ -41,8 +43,8 @@ ScenarioText = Annotated[
     str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
 ]
 TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
-SelectorOption = Annotated[str | None, typer.Option(help=" | ".join(SELECTORS))]
-ProposerOption = Annotated[str | None, typer.Option(help=" | ".join(PROPOSERS))]
+SelectorOption = Annotated[str | None, typer.Option(help="geometric | top-score | random | oracle")]
+ProposerOption = Annotated[str | None, typer.Option(help="antipodal")]
 KOption = Annotated[str | None, typer.Option(help="How many candidates: a number or auto.")]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seeds everything random.")]
 JsonOption = Annotated[
@@ -166,7 +168,7 @@ def choose(
     X_WC = None if camera_pose is None else load_pose(camera_pose)
     decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
     record = new_record(decision, config, task=task, seed=seed or 0)
-    overlay = decision_image(view, decision.candidates, decision.choice)
+    overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
     write_atomically(out / "episode.json", json.dumps(record, indent=1))
@@ -176,10 +178,10 @@ def choose(
     raise typer.Exit(0 if decision.error is None else 1)
 
 
-@app.command(epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
-def eval(
+@app.command("eval", epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
+def evaluate_(
     selectors: Annotated[str, typer.Option(help="Comma-separated.")] = "top-score,oracle",
-    objects: Annotated[str, typer.Option(help="Comma-separated scenarios.")] = (
+    scenarios: Annotated[str, typer.Option(help="Comma-separated.")] = (
         "Hammer,Mug,Screwdriver,Spoon,Spatula,Brush"
     ),
     seeds: Annotated[int, typer.Option(min=1, help="Poses of each object: seeds 0 .. N-1.")] = 5,
@@ -190,14 +192,17 @@ def eval(
     """Run every object, seed and task with each selector, and print the table of successes."""
     from tog_drake.evaluation import evaluate, summarize
     from tog_drake.files import write_atomically
+    from tog_drake.pipeline import SELECTORS
 
     console = _console(as_json)
-    chosen = [_valid(s, SELECTORS, "selector") for s in selectors.split(",")]
-    records = evaluate(objects.split(","), chosen, range(seeds), workers, console)
+    chosen = selectors.split(",")
+    for selector in chosen:
+        _valid(selector, SELECTORS, "selector")
+    records = evaluate(scenarios.split(","), chosen, range(seeds), workers=workers, console=console)
     lines = "".join(json.dumps(record) + "\n" for record in records)
     write_atomically(out / "episodes.jsonl", lines)
     rows = summarize(records)
-    table = Table("selector", "object", "n", "grasp", "task", "both", "outcomes")
+    table = Table(*rows[0])
     for row in rows:
         table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
     console.print(table)
@@ -274,6 +279,8 @@ def main() -> None:
     """Runs the command: errors become one line and exit status 2, Ctrl-C status 130."""
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    # A filter, because Drake sets the level of its logger itself when it is imported.
+    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     try:
@@ -306,10 +313,10 @@ def _print_json(as_json: bool, content: Any) -> None:
         sys.stdout.write(json.dumps(content) + "\n")
 
 
-def _valid(given: str, valid: tuple[str, ...], what: str) -> str:
+def _valid(given: str, valid: Mapping[str, T], what: str) -> T:
     if given not in valid:
         raise InputError(f"unknown {what} {given!r}; valid: {', '.join(valid)}")
-    return given
+    return valid[given]
 
 
 def _scenario_of(object_: str | None) -> str:
@@ -348,7 +355,9 @@ def _load(
     return scenario
 
 
-def _overridden_pipeline(selector: str | None, proposer: str | None, k: str | None) -> Any:
+def _overridden_pipeline(
+    selector: str | None, proposer: str | None, k: str | None
+) -> "PipelineConfig":
     from tog_drake.pipeline import PipelineConfig
 
     config = PipelineConfig()
@@ -356,15 +365,15 @@ def _overridden_pipeline(selector: str | None, proposer: str | None, k: str | No
     return config
 
 
-def _override(config: Any, selector: str | None, proposer: str | None, k: str | None) -> None:
-    from tog_drake.pipeline import Antipodal, Geometric, Oracle, Random, TopScore
+def _override(
+    config: "PipelineConfig", selector: str | None, proposer: str | None, k: str | None
+) -> None:
+    from tog_drake.pipeline import PROPOSERS, SELECTORS
 
-    tags: dict[str, Any] = dict(zip(SELECTORS, (Geometric, TopScore, Random, Oracle), strict=True))
     if selector is not None:
-        config.selector = tags[_valid(selector, SELECTORS, "selector")]()
+        config.selector = _valid(selector, SELECTORS, "selector")()
     if proposer is not None:
-        _valid(proposer, PROPOSERS, "proposer")
-        config.proposer = Antipodal()
+        config.proposer = _valid(proposer, PROPOSERS, "proposer")()
     if k is not None:
         config.candidates.k = k
 

@@ -26,9 +26,10 @@ class CloudConfig:
     table_clearance: float = 0.004  # [m] what lies lower above the table top counts as table
     normal_neighbors: int = 16  # points that a normal is fitted to
     min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
+    min_rise: float = 0.003  # [m] a cluster that rises less above the clearance is table, too
     max_gap: float = 0.010  # [m] points farther apart than this are not connected
     robot_padding: float = 0.010  # [m] the robot's spheres are inflated by this
-    max_slope: float = 6.0  # depth change per width; a steeper ramp is no surface but its edge
+    max_slope: float = 10.0  # depth change per width; a steeper ramp is no surface but its edge
 
 
 class SceneCloud(LeafSystem):
@@ -105,7 +106,8 @@ def scene_cloud(
             f"all {view.depth.size} pixels of the depth image are holes (0, NaN or inf): check the "
             "camera and the depth scale"
         )
-    p_W, rgb = _crop(view, workspace, config)
+    floor = max(workspace.lower[2], workspace.table_height + config.table_clearance)
+    p_W, rgb = _crop(view, [*workspace.lower[:2], floor], workspace.upper, config.max_slope)
     in_workspace = len(p_W)
     number = voxel_numbers(p_W, config.voxel)
     p_W, rgb = group_means(number, p_W), group_means(number, rgb)
@@ -118,25 +120,26 @@ def scene_cloud(
         label = clusters(neighborhood, config.max_gap)
         normal = surface_normals(p_W, neighborhood, config.max_gap, view.X_WC[:3, 3])
         keep = np.bincount(label)[label] >= config.min_cluster_points
+        keep &= _top(p_W[:, 2], label) > floor + config.min_rise
         p_W, rgb, normal = p_W[keep], rgb[keep], normal[keep]
     if len(p_W) == 0:
         raise NoGrasp(
             f"no object in view: {in_workspace} of {np.count_nonzero(view.depth > 0)} pixels with "
             f"depth lie in the workspace above the table; thinned and without the robot they are "
-            f"{without_robot} points, of which none is in a cluster of at least "
-            f"{config.min_cluster_points}. Check the camera's pose, the workspace and the table "
-            "height"
+            f"{without_robot} points, none of them in a cluster of at least "
+            f"{config.min_cluster_points} that rises {config.min_rise} m above the table's "
+            "clearance. Check the camera's pose, the workspace and the table height"
         )
     return _point_cloud(p_W, rgb, normal)
 
 
-def _crop(view: View, workspace: Workspace, config: CloudConfig) -> tuple[Array, Array]:
-    """The pixels in the workspace and above the table: points (N, 3) in W, colours (N, 3)."""
+def _crop(
+    view: View, lower: list[float], upper: list[float], max_slope: float
+) -> tuple[Array, Array]:
+    """The pixels that show a surface inside the box: points (N, 3) in W, colours (N, 3)."""
     p_W = np.moveaxis(unproject(view), -1, 0)
-    lower = np.array(workspace.lower)
-    lower[2] = max(lower[2], workspace.table_height + config.table_clearance)
-    keep = ~_flying(view, config.max_slope)
-    for p, low, high in zip(p_W, lower, workspace.upper, strict=True):
+    keep = ~_flying(view, max_slope)
+    for p, low, high in zip(p_W, lower, upper, strict=True):
         keep &= (p > low) & (p < high)  # False for the holes, which are NaN
     row = np.flatnonzero(keep)  # much faster than a mask of two dimensions
     return p_W.reshape(3, -1)[:, row].T, view.rgb.reshape(-1, 3)[row].astype(np.float64)
@@ -145,7 +148,7 @@ def _crop(view: View, workspace: Workspace, config: CloudConfig) -> tuple[Array,
 def _flying(view: View, max_slope: float) -> NDArray[np.bool_]:
     """Pixels on a ramp between a near surface and a far one, where there is nothing in truth.
 
-    Depth cameras blur edges; a surface as steep as ``max_slope`` = tan(80°) they could not see.
+    Depth cameras blur edges; a surface as steep as ``max_slope`` = tan(84°) they could not see.
     """
     depth = view.depth
     step = depth * np.float32(max_slope / view.intrinsics.fx)
@@ -162,6 +165,13 @@ def _inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
     center, radius = spheres
     squared = np.sum((p_W[:, None] - center) ** 2, axis=-1)  # (N, S)
     return np.asarray(np.any(squared < (radius + padding) ** 2, axis=1))
+
+
+def _top(z: Array, label: NDArray[np.int64]) -> Array:
+    """The largest z of the cluster of each point, (N,)."""
+    top = np.full(label.max() + 1, -np.inf)
+    np.maximum.at(top, label, z)
+    return top[label]
 
 
 def _point_cloud(p_W: Array, rgb: Array, normal: Array) -> PointCloud:

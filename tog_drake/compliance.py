@@ -13,6 +13,7 @@ from pydrake.geometry import GeometryId, QueryObject, SceneGraph
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 
 from tog_drake.errors import InputError
+from tog_drake.panda import PAD_WIDTH
 from tog_drake.task import read_task
 from tog_drake.values import Array, Grasps
 
@@ -102,32 +103,31 @@ class PartLabels:
                     part_of[geometry] = (model, labels.geometries[name])
         return PartLabels(part_of, objects)
 
-    def closing_region(self, grasps: Grasps, query_object: QueryObject) -> list[tuple[str, str]]:
-        """Returns the (model instance, part) nearest to each grasp's two contacts.
+    def closing_region(
+        self, grasps: Grasps, query_object: QueryObject
+    ) -> list[dict[tuple[str, str], float]]:
+        """Returns the share of each (model instance, part) in what each grasp closes on.
 
-        The contacts are ``p_WContact`` and the point ``width`` across, along y_G; between them
-        the distances of both to each part are added up.
+        Each pad is sampled across its width, at both contacts (``p_WContact`` and the point
+        ``width`` across, along y_G); a sample counts for the part nearest to it.
         """
         return [
-            self._nearest(np.stack([p, _across(X, p, w)]), query_object)
+            self._shares(_pad_samples(X, p, w), query_object)
             for X, p, w in zip(grasps.X_WG, grasps.p_WContact, grasps.width, strict=True)
         ]
 
-    def _nearest(self, points: Array, query_object: QueryObject) -> tuple[str, str]:
-        nearest: list[dict[tuple[str, str], float]] = []
+    def _shares(self, points: Array, query_object: QueryObject) -> dict[tuple[str, str], float]:
+        share: dict[tuple[str, str], float] = {}
         for point in points:
-            distance: dict[tuple[str, str], float] = {}
-            for found in query_object.ComputeSignedDistanceToPoint(point, _CONTACT_REACH):
-                part = self.part_of.get(found.id_G)
-                if part is not None:
-                    distance[part] = min(distance.get(part, np.inf), found.distance)
-            nearest.append(distance)
-        parts = {part for distance in nearest for part in distance}
-        if not parts:
-            return ("", "")
-        return min(
-            sorted(parts), key=lambda part: sum(d.get(part, _CONTACT_REACH) for d in nearest)
-        )
+            near = [
+                (found.distance, self.part_of[found.id_G])
+                for found in query_object.ComputeSignedDistanceToPoint(point, _CONTACT_REACH)
+                if found.id_G in self.part_of
+            ]
+            if near:
+                part = min(near)[1]
+                share[part] = share.get(part, 0.0) + 1 / len(points)
+        return share
 
     def held(
         self, forces: list[tuple[GeometryId, GeometryId, float]], pads: frozenset[GeometryId]
@@ -147,14 +147,17 @@ class PartLabels:
         return force
 
 
-_CONTACT_REACH = 0.03  # [m] a contact farther from any part than this belongs to none
+_CONTACT_REACH = 0.02  # [m] a sample farther from any part than this belongs to none
 
 
-def _across(X_WG: Array, p_WContact: Array, width: float) -> Array:
-    """The other contact: ``width`` away along the closing direction, on the far side of G."""
-    y = X_WG[:3, 1]
+def _pad_samples(X_WG: Array, p_WContact: Array, width: float) -> Array:
+    """Points across both pads, (6, 3) [m]: the contact, its counterpart, and beside them."""
+    x, y = X_WG[:3, 0], X_WG[:3, 1]
     side = np.sign((p_WContact - X_WG[:3, 3]) @ y) or 1.0
-    return p_WContact - side * width * y
+    across = np.array([0.0, -side * width])[:, None, None] * y
+    along = (np.array([-0.4, 0.0, 0.4]) * PAD_WIDTH)[:, None] * x
+    samples: Array = (p_WContact + across + along).reshape(-1, 3)
+    return samples
 
 
 def contact_forces(contacts: ContactResults) -> list[tuple[GeometryId, GeometryId, float]]:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
@@ -30,7 +31,8 @@ def run_checks() -> list[Check]:
     checks = [
         _check("Python", _python),
         _check("Drake", lambda: _version("drake")),
-        *(_check(name, lambda n=name: _version(n)) for name in ("numpy", "scipy")),
+        _check("numpy", lambda: _version("numpy")),
+        _check("scipy", lambda: _version("scipy")),
         _check("OpenCV", lambda: _version("opencv-python-headless")),
         _check("models", _models),
         _check("rendering", _rendering),
@@ -42,14 +44,14 @@ def run_checks() -> list[Check]:
         checks.append(
             _check(
                 f"extra [{extra}] ({purpose})",
-                lambda m=module, e=extra: _extra(m, e),
+                partial(_extra, module, extra),
                 required=False,
             )
         )
     return checks
 
 
-class _Problem(Exception):
+class _ProblemError(Exception):
     """What is wrong and how to mend it."""
 
 
@@ -61,8 +63,6 @@ def _check(name: str, look: Callable[[], str], required: bool = True) -> Check:
 
 
 def _python() -> str:
-    if sys.version_info < (3, 10):
-        raise _Problem(f"{platform.python_version()}; 3.10 or newer is needed")
     return f"{platform.python_version()} on {platform.platform()}"
 
 
@@ -70,7 +70,7 @@ def _version(distribution: str) -> str:
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError as error:
-        raise _Problem(f"missing; install it with: pip install {distribution}") from error
+        raise _ProblemError(f"missing; install it with: pip install {distribution}") from error
 
 
 def _models() -> str:
@@ -78,7 +78,7 @@ def _models() -> str:
     from tog_drake.scenario import scenario_files
 
     if not scenario_files():
-        raise _Problem(f"no scenarios in {resource_dir('diagrams')}; reinstall tog_drake")
+        raise _ProblemError(f"no scenarios in {resource_dir('diagrams')}; reinstall tog_drake")
     return f"{len(scenario_files())} scenarios in {resource_dir('diagrams')}"
 
 
@@ -88,14 +88,14 @@ def _rendering() -> str:
 
     problem = rendering_problem()
     if problem:
-        raise _Problem(problem)
+        raise _ProblemError(problem)
     program = "from tog_drake.rendering import render_probe; print(render_probe())"
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120
     )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise _Problem(f"a test image failed with status {done.returncode}: {last}")
+        raise _ProblemError(f"a test image failed with status {done.returncode}: {last}")
     return done.stdout.strip()
 
 
@@ -108,13 +108,13 @@ def _meshcat() -> str:
 def _disk() -> str:
     free = shutil.disk_usage(Path.cwd()).free
     if free < _LEAST_FREE:
-        raise _Problem(f"{free / 1e9:.1f} GB free here; {_LEAST_FREE / 1e9:.0f} GB is needed")
+        raise _ProblemError(f"{free / 1e9:.1f} GB free here; {_LEAST_FREE / 1e9:.0f} GB is needed")
     return f"{free / 1e9:.0f} GB free"
 
 
 def _graphviz() -> str:
     if shutil.which("dot") is None:
-        raise _Problem("missing; install it with: sudo apt-get install graphviz")
+        raise _ProblemError("missing; install it with: sudo apt-get install graphviz")
     return str(shutil.which("dot"))
 
 
@@ -122,5 +122,7 @@ def _extra(module: str, extra: str) -> str:
     try:
         importlib.import_module(module)
     except ImportError as error:
-        raise _Problem(f"missing; install it with: pip install 'tog_drake[{extra}]'") from error
+        raise _ProblemError(
+            f"missing; install it with: pip install 'tog_drake[{extra}]'"
+        ) from error
     return metadata.version(module)

@@ -44,6 +44,12 @@ class World:
     target: str  # model instance of the object that the task is about
 
 
+def load_objects(scenario: Scenario) -> dict[str, ObjectParts]:
+    """Returns the labels of the scenario's objects, those that have any, by model instance."""
+    files = {name: file.parent / "parts.yaml" for name, file in model_files(scenario).items()}
+    return {name: load_parts(path) for name, path in files.items() if path.is_file()}
+
+
 def build_world(
     scenario: Scenario, *, target: str | None = None, meshcat: Meshcat | None = None
 ) -> World:
@@ -57,9 +63,7 @@ def build_world(
     Raises:
         InputError: if the scenario does not hold the camera or the target.
     """
-    files = model_files(scenario)
-    parts = {name: file.parent / "parts.yaml" for name, file in files.items()}
-    objects = {name: load_parts(path) for name, path in parts.items() if path.is_file()}
+    objects = load_objects(scenario)
     target = _find_target(objects, target)
     camera = scenario.pipeline.camera
     cameras = camera_configs(scenario)

@@ -14,7 +14,8 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoGrasp
-from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, gripper_boxes
+from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
+from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
@@ -28,17 +29,16 @@ REASONS = {
     "no_ik": "are out of the arm's reach",
     "no_approach": "cannot be approached in a straight line",
     "no_lift": "cannot be lifted in a straight line",
-    "self_collision": "would bring the arm into collision with itself or the table",
     "arm_collision": "would bring the arm into collision with something that the camera sees",
+    "self_collision": "would bring the arm into collision with itself or the table",
 }
 """What a grasp can fail on, in the order of the tests, and how to say it."""
 
-_TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _SELF, _ARM, _FEASIBLE = range(len(REASONS) + 1)
+_TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(len(REASONS) + 1)
 _HAND_BODIES = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
-_CHUNK = 16  # grasps at a time against the cloud, so that the arrays stay in the cache
 
 
 @dataclass
@@ -91,11 +91,12 @@ def feasible_grasps(
         raise NoGrasp("no grasp was proposed: show the object better, or use another proposer")
     points = cloud.xyzs().T[np.isfinite(cloud.xyzs()).all(axis=0)]
     opening = np.minimum(grasps.width + config.opening_margin, MAX_OPENING)
-    lower, upper = _swept_boxes(opening, config.pregrasp_distance)
-    fate = np.full(len(grasps), _NO_IK)
-    too_wide = grasps.width > MAX_OPENING
-    fate[too_wide | _hits_cloud(grasps.X_WG, lower, upper, points, config)] = _HAND
-    fate[_lowest(grasps.X_WG, lower, upper) < table_height + config.table_clearance] = _TABLE
+    lower, upper = hand_boxes(opening, config.pregrasp_distance)
+    low = lowest_corner(grasps.X_WG, lower, upper) < table_height + config.table_clearance
+    tolerance = config.hand_tolerance
+    inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
+    blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
+    fate = np.select([low, blocked], [_TABLE, _HAND], _NO_IK)
 
     rows = np.flatnonzero(fate == _NO_IK)
     world = _World(planning_model, DistanceField(points, config.voxel), config)
@@ -129,48 +130,6 @@ def _explain(proposed: int, rejected: dict[str, int]) -> str:
         f"0 of {proposed} grasps can be carried out: {', '.join(parts)}. "
         "Move the object nearer or clear what surrounds it, or propose more grasps"
     )
-
-
-def _swept_boxes(opening: Array, retreat: float) -> tuple[Array, Array]:
-    """Returns the boxes of the hand in G, swept along the approach: corners (N, 4, 3) [m].
-
-    The hand backs off along −z_G, so what it sweeps are boxes again.
-    """
-    boxes = np.array([gripper_boxes(float(o)) for o in opening])
-    lower, upper = boxes[:, 0], boxes[:, 1]
-    lower[..., 2] -= retreat
-    return lower, upper
-
-
-def _lowest(X_WG: Array, lower: Array, upper: Array) -> Array:
-    """Returns the least z in W over all corners of each grasp's boxes, (N,) [m]."""
-    down = X_WG[:, None, 2, :3]
-    corner = np.minimum(down * lower, down * upper).sum(axis=-1)
-    return np.asarray(corner.min(axis=-1) + X_WG[:, 2, 3])
-
-
-def _hits_cloud(
-    X_WG: Array, lower: Array, upper: Array, points: Array, config: FeasibilityConfig
-) -> Bools:
-    """Tells which grasps have points inside the hand's boxes, (N,)."""
-    lower = (lower + config.hand_tolerance).astype(np.float32)
-    upper = (upper - config.hand_tolerance).astype(np.float32)
-    p_W = np.ascontiguousarray(points.T, dtype=np.float32)
-    hits = np.zeros(len(X_WG), dtype=bool)
-    for first in range(0, len(X_WG), _CHUNK):
-        chunk = slice(first, first + _CHUNK)
-        R_GW = np.swapaxes(X_WG[chunk, :3, :3], -1, -2)
-        p_G0 = R_GW @ X_WG[chunk, :3, 3:]
-        p_G = R_GW.astype(np.float32) @ p_W - p_G0.astype(np.float32)  # (n, 3, P)
-        inside = np.zeros((len(p_G), p_W.shape[1]), dtype=bool)
-        for box in range(lower.shape[1]):
-            within = np.ones_like(inside)
-            for axis in range(3):
-                within &= p_G[:, axis] > lower[chunk, box, axis, None]
-                within &= p_G[:, axis] < upper[chunk, box, axis, None]
-            inside |= within
-        hits[chunk] = inside.sum(axis=1) > config.stray_points
-    return hits
 
 
 @dataclass(frozen=True)
@@ -234,26 +193,22 @@ def _convenient_configurations(
         (N, attempts, 7) [rad], nan where there are fewer, and whether the hand is turned by half a
         turn about z_G (N, attempts). That is the same grasp, and joint 7 alone does it.
     """
-    # The whole circle: what is beyond the limits of joint 7 is inside them after half a turn.
-    q7 = np.linspace(-np.pi, np.pi, config.q7_samples, endpoint=False)
-    q = inverse_kinematics(X_L0H, q7).reshape(len(X_L0H), config.q7_samples * BRANCHES, 7)
-    q_turned = q - np.pi * np.sign(q) * (np.arange(7) == 6)
-    cost, cost_turned = (_inconvenience(way, q_now, config) for way in (q, q_turned))
-    turned = cost_turned < cost
-    q, cost = np.where(turned[..., None], q_turned, q), np.minimum(cost, cost_turned)
-    q[np.isinf(cost)] = np.nan
-    ranking = np.argsort(cost, axis=1, kind="stable")[:, ::_APART][:, : config.attempts]
-    return (
-        np.take_along_axis(q, ranking[..., None], axis=1),
-        np.take_along_axis(turned, ranking, axis=1),
-    )
+    # Around the circle, and at each place in the nearer of two ways that are inside the limits.
+    ways = np.linspace(-np.pi, np.pi, config.q7_samples, endpoint=False)
+    ways = np.stack([ways, ways - np.copysign(np.pi, ways)])
+    margin = config.limit_margin
+    possible = (ways >= Q_LOWER[6] + margin) & (ways <= Q_UPPER[6] - margin)
+    turned = np.argmin(np.where(possible, np.abs(ways - q_now[6]), np.inf), axis=0)
+    q = inverse_kinematics(X_L0H, ways[0])
+    q[..., 6] = ways[turned, np.arange(len(turned))][:, None]
 
-
-def _inconvenience(q: Array, q_now: Array, config: FeasibilityConfig) -> Array:
-    """Returns how far q (..., 7) is from ``q_now`` [rad], plus 1 at a limit; inf outside them."""
+    q = q.reshape(len(q), len(turned) * BRANCHES, 7)
     crowding = np.abs(q - (Q_LOWER + Q_UPPER) / 2) / ((Q_UPPER - Q_LOWER) / 2)
     cost = np.linalg.norm(q - q_now, axis=-1) + crowding.max(axis=-1)
-    return np.where(within_limits(q, config.limit_margin), cost, np.inf)
+    impossible = ~within_limits(q, margin)
+    cost[impossible], q[impossible] = np.inf, np.nan
+    ranking = np.argsort(cost, axis=1, kind="stable")[:, ::_APART][:, : config.attempts]
+    return np.take_along_axis(q, ranking[..., None], axis=1), turned[ranking // BRANCHES] == 1
 
 
 def _carry_out_from(
@@ -271,13 +226,15 @@ def _carry_out_from(
     q_lift[row] = follow_path(X_lift[row], q_grasp[row], **room)
 
     row = row[np.isfinite(q_lift[row]).all(axis=(1, 2))]
-    fate[row] = _SELF
     q = np.concatenate([_checked(q_approach[row]), _checked(q_lift[row])[:, 1:]], axis=1)
-    check = world.planning_model.check_configs
-    free = np.array([check(*pair).all() for pair in zip(q, opening[row], strict=True)], dtype=bool)
+    fate[row] = _ARM
+    clear = _clear_of_cloud(world, q)
 
-    row, q = row[free], q[free]
-    fate[row] = np.where(_clear_of_cloud(world, q), _FEASIBLE, _ARM)
+    row, q = row[clear], q[clear]
+    fate[row] = _SELF
+    check = world.planning_model.check_configs
+    free = [check(*pair).all() for pair in zip(q, opening[row], strict=True)]
+    fate[row[np.array(free, dtype=bool)]] = _FEASIBLE
     return fate, q_approach, q_lift
 
 

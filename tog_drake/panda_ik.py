@@ -92,12 +92,12 @@ def inverse_kinematics(X_L0H: Array, q7: Array) -> Array:
     q3 = np.arctan2(c1 * x3[..., 1] - s1 * x3[..., 0], c1 * y3y - s1 * y3x)
 
     q = np.empty((*q6.shape, 2, 7))
-    q[..., 0, 0], q[..., 1, 0] = q1, _wrap(q1 + np.pi)
+    q[..., 0, 0], q[..., 1, 0] = q1, _half_turn(q1)
     q[..., 0, 1], q[..., 1, 1] = q2, -q2
-    q[..., 0, 2], q[..., 1, 2] = q3, _wrap(q3 + np.pi)
+    q[..., 0, 2], q[..., 1, 2] = q3, _half_turn(q3)
     q[..., 3], q[..., 4], q[..., 5] = q4[..., None], q5[..., None], q6[..., None]
     q[..., 6] = q7[..., None, None, None]
-    q[~np.isfinite(q).all(axis=-1)] = np.nan
+    q[np.isnan(q1)] = np.nan  # whatever failed above, q1 knows
     return q.reshape(*p6.shape[:2], BRANCHES, 7)
 
 
@@ -119,9 +119,14 @@ def _clip_rounding(x: Array) -> Array:
     return np.where(np.abs(x) <= 1 + _ROUNDING, np.clip(x, -1, 1), np.nan)
 
 
-def _wrap(angle: Array, centre: float = 0.0) -> Array:
+def _wrap(angle: Array, centre: float) -> Array:
     """Moves angles by whole turns into (centre − π, centre + π]."""
     return angle - 2 * np.pi * np.ceil((angle - centre - np.pi) / (2 * np.pi))
+
+
+def _half_turn(angle: Array) -> Array:
+    """Adds half a turn to angles in (−π, π]; the result is there, too."""
+    return np.where(angle > 0, angle - np.pi, angle + np.pi)
 
 
 def follow_path(

@@ -111,7 +111,7 @@ def shortcut(
 def corners(path: Array) -> Array:
     """Returns the path without the points that lie on the line between their neighbours."""
     steps = np.diff(path, axis=0)
-    directions = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    directions = steps / np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
     turns = np.abs(np.diff(directions, axis=0)).max(axis=1) > 1e-6
     return np.asarray(path[np.concatenate([[True], turns, [True]])])
 

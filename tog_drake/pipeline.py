@@ -36,6 +36,14 @@ from tog_drake.values import (
 )
 
 SelectorConfig = Geometric | TopScore | Random | Oracle
+# How the command spells them.
+SELECTORS: dict[str, type[SelectorConfig]] = {
+    "geometric": Geometric,
+    "top-score": TopScore,
+    "random": Random,
+    "oracle": Oracle,
+}
+PROPOSERS: dict[str, type[Antipodal]] = {"antipodal": Antipodal}
 
 # The stages' ports in the order of the data: each can be evaluated, timed and drawn by itself.
 STAGE_PORTS = (

@@ -55,7 +55,7 @@ def write_report(
 ) -> None:
     """Writes the report to ``path``, whole or not at all.
 
-    Two episodes at 640×480 with replays take about 4 MB.
+    Two episodes at 640×480 with replays take about 3 MB.
 
     Raises:
         OSError: the file cannot be written.

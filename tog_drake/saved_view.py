@@ -64,7 +64,8 @@ def load_intrinsics(path: Path) -> Intrinsics:
     numbers = {}
     for key in ("width", "height", "fx", "fy", "cx", "cy"):
         value = content.get(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value):
             raise InputError(f"{path}: {key} must be a number of pixels, not {value!r}")
         numbers[key] = value
     width, height = int(numbers["width"]), int(numbers["height"])
@@ -158,7 +159,8 @@ def _read_depth(path: Path, units_per_metre: float | None) -> NDArray[np.float32
             f"depth {path} has a median of {median:.3g} m at {scale:g} units per metre: "
             "give the right --depth-scale"
         )
-    return metres.astype(np.float32)
+    result: NDArray[np.float32] = metres.astype(np.float32)
+    return result
 
 
 def _read_json(path: Path) -> Any:

@@ -34,6 +34,10 @@ MAX_SCENARIO_BYTES = 1_000_000  # a scenario is a page; anything larger is not o
 _L515_FOCAL = {"1280x720": 914.1, "640x480": 609.4}  # [pixel]
 
 
+# The wrist camera half a metre above the table's middle, tilted 24° [rad].
+LOOK_POSTURE = (0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853)
+
+
 @dataclass
 class L515:
     """A camera like an Intel RealSense L515, colour and depth aligned: `!L515 {}`."""
@@ -120,10 +124,6 @@ class Scenario:
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
 
 
-# The wrist camera half a metre above the table's middle, tilted 24° [rad].
-LOOK_POSTURE = (0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853)
-
-
 def _table() -> ModelDirective:
     return ModelDirective(
         add_directives=AddDirectives(file="package://tog_drake/scenes/table.dmd.yaml")
@@ -165,7 +165,7 @@ def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:
     """
     checked = check_yaml(Scenario, content, source)
     try:
-        scenario = yaml_load_typed(
+        scenario: Scenario = yaml_load_typed(
             schema=Scenario, data=checked, defaults=defaults, retain_map_defaults=True
         )
     except (RuntimeError, ValueError, TypeError, AttributeError, yaml.YAMLError) as error:

@@ -5,7 +5,7 @@ desk there may be a lot of floor. Planes are found one after the other by RANSAC
 one point and its normal, and the one with most standing on it near the image's centre wins.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,14 @@ from tog_drake.errors import InputError
 from tog_drake.pinhole import unproject
 from tog_drake.values import Array, View, Workspace
 
-COLUMNS = 160  # the search looks at about this many pixels per row
-HYPOTHESES = 300  # planes tried per round
+COLUMNS = 128  # the search looks at about this many pixels per row
+HYPOTHESES = 200  # planes tried per round
 ROUNDS = 5  # planes taken out, the largest first
 MIN_SUPPORT = 0.04  # a table fills at least this share of the pixels with depth
 MAX_OBJECT_HEIGHT = 0.40  # [m] what is higher above a plane does not stand on it
 MAX_HIDDEN = 0.06  # [m] table hidden by a thing: from its points' feet to table that is seen
-MAX_NORMAL_ANGLE = np.cos(np.radians(25))  # cosine: normals of the plane's own points
+MIN_ALIGNMENT = np.cos(np.radians(25))  # of the plane's normal and those of its points
+MAX_SLANT = np.cos(np.radians(20))  # of the table's normal and up, where up is known
 
 Mask = NDArray[np.bool_]
 
@@ -35,7 +36,7 @@ class Table:
     """
 
     X_WC: Array  # (4, 4)
-    workspace: Workspace  # the space above the table that is seen; its table_height is 0
+    workspace: Workspace  # the space above the table that is seen, and above its noise
     noise: float  # [m] standard deviation of the table's own points about the plane
 
 
@@ -61,31 +62,35 @@ class _Plane:
         return np.asarray(p_C @ self.normal + self.offset)
 
 
-def find_table(view: View, seed: int = 0) -> Table:
+def find_table(view: View, seed: int = 0, up: Array | None = None) -> Table:
     """Returns the table that things stand on.
 
     Args:
         view: its ``X_WC`` is not used.
         seed: of the random hypotheses.
+        up: (3,) unit vector in C, where it is known; else the camera is taken to be held upright,
+            or to look down.
 
     Raises:
         InputError: no plane has enough support and faces up.
     """
     samples = _sample(view)
-    planes = [p for p in _planes(samples, np.random.default_rng(seed)) if _faces_up(p)]
-    if not planes:
+    planes = _planes(samples, np.random.default_rng(seed))
+    level = [plane for plane in planes if _faces_up(plane, up)]
+    if not level:
         raise InputError(
-            f"no table found: no plane that faces up fills {MIN_SUPPORT:.0%} of the "
-            f"{np.count_nonzero(view.depth > 0)} pixels with depth; pass --camera-pose"
+            f"no table found: of the {np.count_nonzero(view.depth > 0)} pixels with depth "
+            f"{len(planes)} planes take {MIN_SUPPORT:.0%} or more each, and none faces up; show "
+            "more of the table, hold the camera upright or, if it was not, pass --camera-pose"
         )
-    plane = max(planes, key=lambda p: _standing(p, samples))
+    plane = max(level, key=lambda p: _standing(p, samples))
     return _table(plane, samples)
 
 
 def _sample(view: View) -> _Samples:
     """Points on a coarse grid, with normals from the differences to their grid neighbours."""
     step = max(1, view.intrinsics.width // COLUMNS)
-    p = unproject(view)[::step, ::step]
+    p = unproject(replace(view, X_WC=np.eye(4)))[::step, ::step]  # in C
     reach = 2
     middle = slice(reach, -reach)
     right = p[middle, 2 * reach :] - p[middle, : -2 * reach]
@@ -121,7 +126,7 @@ def _largest_plane(samples: _Samples, left: Mask, rng: np.random.Generator) -> _
     pick = rng.choice(np.flatnonzero(left), HYPOTHESES)
     offset = -np.sum(samples.normal[pick] * samples.point[pick], axis=1)
     near = np.abs(samples.point @ samples.normal[pick].T + offset) < samples.tolerance[:, None]
-    near &= samples.normal @ samples.normal[pick].T > MAX_NORMAL_ANGLE
+    near &= samples.normal @ samples.normal[pick].T > MIN_ALIGNMENT
     best = np.argmax(np.count_nonzero(near[left], axis=0))
     inlier = near[:, best] & left
     for _ in range(3):
@@ -130,13 +135,18 @@ def _largest_plane(samples: _Samples, left: Mask, rng: np.random.Generator) -> _
         normal = np.linalg.eigh(spread.T @ spread)[1][:, 0]
         normal = -normal * np.sign(normal @ mean)
         plane = _Plane(normal, float(-normal @ mean), inlier)
-        inlier = left & (np.abs(plane.height(samples.point)) < samples.tolerance)
-        inlier &= samples.normal @ normal > MAX_NORMAL_ANGLE
+        refined = left & (np.abs(plane.height(samples.point)) < samples.tolerance)
+        refined &= samples.normal @ normal > MIN_ALIGNMENT
+        if np.count_nonzero(refined) < 3:
+            break
+        inlier = refined
     return plane
 
 
-def _faces_up(plane: _Plane) -> bool:
-    """Whether a table could look like that: not seen edge-on, nor from a camera held head down."""
+def _faces_up(plane: _Plane, up: Array | None) -> bool:
+    """Whether it could be a table: level, or at least not edge-on or seen from below."""
+    if up is not None:
+        return bool(plane.normal @ up > MAX_SLANT)
     return bool(plane.normal[2] < -0.2 and plane.normal[1] < 0.5)
 
 
@@ -169,8 +179,10 @@ def _table(plane: _Plane, samples: _Samples) -> Table:
     X_WC[:3, 3] = -X_WC[:3, :3] @ origin
     p_W = foot[plane.inlier] @ X_WC[:3, :3].T + X_WC[:3, 3]
     lower, upper = np.percentile(p_W[:, :2], [1, 99], axis=0)
+    noise = float(np.std(plane.height(samples.point[plane.inlier])))
     workspace = Workspace(
-        lower=[*lower.tolist(), -0.05], upper=[*upper.tolist(), MAX_OBJECT_HEIGHT], table_height=0.0
+        lower=[*lower.tolist(), 2.5 * noise],
+        upper=[*upper.tolist(), MAX_OBJECT_HEIGHT],
+        table_height=0.0,
     )
-    height = plane.height(samples.point[plane.inlier])
-    return Table(X_WC, workspace, noise=float(np.std(height)))
+    return Table(X_WC, workspace, noise)

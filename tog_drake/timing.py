@@ -18,7 +18,7 @@ from pydrake.polynomial import Polynomial
 from pydrake.solvers import MathematicalProgramResult, SnoptSolver, SolverOptions
 from pydrake.trajectories import BsplineTrajectory, PathParameterizedTrajectory, PiecewisePolynomial
 
-from tog_drake.errors import NoPlan
+from tog_drake.errors import InputError, NoPlan
 from tog_drake.values import Array
 
 ClearanceAndGradient: TypeAlias = Callable[[Array], tuple[Array, Array]]
@@ -70,7 +70,7 @@ def rest_to_rest(
     spline = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
         np.linspace(0, 1, len(path)), path.T
     )
-    s, ds, dds, ddds = (_MINIMUM_JERK.deriv(n)(np.linspace(0, 1, 301)) for n in range(4))
+    s, ds, dds, ddds = (_MINIMUM_JERK.deriv(n)(np.linspace(0, 1, 1001)) for n in range(4))
     s = np.clip(s, 0, 1)
     q1, q2, q3 = (spline.MakeDerivative(n).vector_values(s) for n in (1, 2, 3))
     rates = (q1 * ds, q2 * ds**2 + q1 * dds, q3 * ds**3 + 3 * q2 * ds * dds + q1 * ddds)
@@ -89,8 +89,8 @@ def rest_to_rest(
 class SplineConfig:
     """How the fastest spline is looked for."""
 
-    order: int = 4  # of the B-spline: 4 is piecewise cubic
-    control_points: int = 12  # more follow a winding path better and take longer
+    order: int = 4  # of the B-spline, at least 4: piecewise cubic
+    control_points: int = 12  # at least 8; more follow a winding path better and take longer
     clearance_samples: int = 40  # configurations at which the clearance is demanded
     initial_duration: float = 4.0  # [s] where the search begins
     tolerance: float = 1e-3  # of optimality and of the constraints
@@ -122,9 +122,14 @@ def optimize_spline(
 
     Raises:
         NoPlan: the solver found none, or something that is not finite.
+        InputError: the spline has too few control points or too low an order.
     """
-    # Any, here and below: pydrake's type stubs refuse arrays where they are meant.
-    trajopt: Any = KinematicTrajectoryOptimization(7, config.control_points, config.order)
+    if not 4 <= config.order <= config.control_points or config.control_points < 8:
+        raise InputError(
+            f"a spline of order {config.order} with {config.control_points} control points cannot "
+            "start and end at rest; valid: order 4 or more, 8 control points or more"
+        )
+    trajopt = KinematicTrajectoryOptimization(7, config.control_points, config.order)
     trajopt.AddDurationCost(1.0)
     trajopt.AddDurationConstraint(0.1, None)
     trajopt.AddPositionBounds(limits.lower, limits.upper)
@@ -154,7 +159,7 @@ def optimize_spline(
 
 
 def _demand_clearance(
-    trajopt: Any,
+    trajopt: KinematicTrajectoryOptimization,
     clearance_and_gradient: ClearanceAndGradient,
     clearance: float,
     samples: int,
@@ -170,14 +175,11 @@ def _demand_clearance(
         """The clearances at control points x (7 n,), a joint after the other."""
         differentiate = x.dtype == object  # then x holds Drake's AutoDiffXd
         values = ExtractValue(x) if differentiate else x
-        q = weights @ values.reshape(points.shape).T
-        c: Any
-        c, dc_dq = clearance_and_gradient(q)
+        c, dc_dq = clearance_and_gradient(weights @ values.reshape(points.shape).T)
         if not differentiate:
             return c
         dc_dx = (dc_dq[:, :, None] * weights[:, None, :]).reshape(samples, x.size)
-        gradient: Any = dc_dx @ ExtractGradient(x)
-        return InitializeAutoDiff(c, gradient).ravel()
+        return InitializeAutoDiff(c, dc_dx @ ExtractGradient(x)).ravel()
 
     lower, upper = np.full(samples, clearance), np.full(samples, np.inf)
     trajopt.get_mutable_prog().AddConstraint(evaluate, lower, upper, points.ravel())
@@ -190,7 +192,9 @@ def _points_along(path: Array, count: int) -> Array:
     return np.concatenate([along[:, [0, 0]], along, along[:, [-1, -1]]], axis=1)
 
 
-def _spline(trajopt: Any, result: MathematicalProgramResult, path: Array) -> BsplineTrajectory:
+def _spline(
+    trajopt: KinematicTrajectoryOptimization, result: MathematicalProgramResult, path: Array
+) -> BsplineTrajectory:
     """Returns the spline of a solution, with the ends exact that the solver met to a tolerance."""
     points = np.asarray(result.GetSolution(trajopt.control_points()))
     duration = result.GetSolution(trajopt.duration())

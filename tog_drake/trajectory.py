@@ -15,18 +15,13 @@ from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
-from tog_drake.timing import (
-    PEAK_SPEED,
-    JointLimits,
-    SplineConfig,
-    optimize_spline,
-    rest_to_rest,
-)
+from tog_drake.timing import PEAK_SPEED, JointLimits, SplineConfig, optimize_spline, rest_to_rest
 from tog_drake.values import Array, Choice, FeasibleGrasps, GraspMotion
 
 _RATES = ("velocity", "acceleration", "jerk")
 _LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
 _POSTURE_TOLERANCE = 0.01  # [rad] by which a measured posture may pass a position limit
+_ROUNDING = 1e-6  # [m]
 _TOLERANCE = 1e-3  # part of a limit that rounding may take more
 
 
@@ -167,34 +162,37 @@ def _transfer(
     scene.require_free(q_now, "the arm's present posture", "move the arm away by hand")
     scene.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
     ends = np.stack([q_now, q_pregrasp])
-    # An end that is nearer to something than the rest of the way may be stays allowed.
-    clearance = min(config.clearance, float(scene.cloud_clearance(ends).min()))
+    # Where an end itself is nearer to something, no more than that can be asked of the way.
+    clearance = min(config.clearance, float(scene.cloud_clearance(ends).min()) - _ROUNDING)
 
     def count_free(q: Array) -> int:
         return scene.count_free(q, clearance)
 
     rng = np.random.default_rng(seed)
-    step, failures = config.path_step, []
+    step, path, failure = config.path_step, None, ""
     for attempt in range(config.attempts):
         spread = 1.0 + attempt  # [rad] beyond the ends: first look for paths that stay near
         lower = np.maximum(limits.lower, ends.min(axis=0) - spread)
         upper = np.minimum(limits.upper, ends.max(axis=0) + spread)
-        path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
-        path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
         # The optimisation does not know the robot itself nor the known world: where that fails the
         # check, it is held ever closer to the path, which does.
         leeway = np.inf if attempt == 0 else 0.4 / 2**attempt  # [rad]
         try:
+            path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
+            path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
             spline = optimize_spline(
                 path, limits, scene.cloud_clearance_and_gradient, clearance, config.spline, leeway
             )
             scene.check(spline, "the way to the pregrasp", config.check_step)
             return spline, f"optimised, attempt {attempt + 1}"
-        except NoPlan as failure:
-            failures.append(str(failure))
+        except NoPlan as error:
+            if path is None:
+                raise
+            failure = str(error)
+    assert path is not None
     stops = _with_stops(corners(path), limits)
     scene.check(stops, "the way to the pregrasp", config.check_step)
-    return stops, f"with stops on the way, since {len(failures)} attempts failed: {failures[-1]}"
+    return stops, f"with stops, since {config.attempts} attempts to optimise failed: {failure}"
 
 
 def _with_stops(path: Array, limits: JointLimits) -> Trajectory:

@@ -78,17 +78,10 @@ def draw_decision(
     if grasps is not None and len(grasps):
         _draw_faint(meshcat, f"{DECISION}/seen/grasps", hand_wireframe(grasps).reshape(-1, 2, 3))
     if candidates is not None:
-        hands = hand_wireframe(candidates.grasps.take(candidates.index))
-        for rank, hand in enumerate(hands):
-            name = CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][0]
-            path = f"{DECISION}/seen/candidates/{rank:02d}_{name}"
-            _draw_bars(meshcat, path, hand, CANDIDATE_RADIUS, candidate_color(rank))
+        _draw_candidates(meshcat, f"{DECISION}/seen/candidates", candidates)
     if choice is not None:
         color = choice_color(candidates, choice)
-        path = f"{DECISION}/seen/choice"
-        _draw_bars(meshcat, f"{path}/hand", hand_wireframe(choice.grasp)[0], CHOICE_RADIUS, color)
-        meshcat.SetObject(f"{path}/contact", Sphere(CONTACT_RADIUS), _rgba(color))
-        meshcat.SetTransform(f"{path}/contact", RigidTransform(choice.grasp.p_WContact[0]))
+        _draw_choice(meshcat, f"{DECISION}/seen/choice", choice, color)
     if motion is not None:
         points = grasp_path(motion, X_WL0)
         ends = np.stack([points[:-1], points[1:]], axis=1)
@@ -113,11 +106,11 @@ def replay_html(
     Args:
         duration: when the recording ends [s].
         decided: when the decision was made [s]; its drawing appears then.
-        closed: when the hand began to close [s], if it did. The drawing vanishes, except for the
-            path: it shows where things *were*.
+        closed: when the hand began to close [s], if it came to that. The drawing vanishes then,
+            except for the path: it shows where things *were*.
     """
     _record_visible(meshcat, DECISION, {0.0: False, decided: True, duration: True})
-    if closed is not None:
+    if closed is not None and closed < duration:
         _record_visible(meshcat, f"{DECISION}/seen", {0.0: True, closed: False, duration: False})
     meshcat.StopRecording()
     recording = meshcat.get_mutable_recording()
@@ -142,6 +135,20 @@ def _draw_cloud(meshcat: Any, path: str, cloud: PointCloud) -> None:
     if cloud.has_rgbs():
         thin.mutable_rgbs()[:] = cloud.rgbs()[:, rows]
     meshcat.SetObject(path, thin, POINT_SIZE)
+
+
+def _draw_candidates(meshcat: Meshcat, path: str, candidates: Candidates) -> None:
+    hands = hand_wireframe(candidates.grasps.take(candidates.index))
+    for rank, hand in enumerate(hands):
+        name = CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][0]
+        color = candidate_color(rank)
+        _draw_bars(meshcat, f"{path}/{rank:02d}_{name}", hand, CANDIDATE_RADIUS, color)
+
+
+def _draw_choice(meshcat: Meshcat, path: str, choice: Choice, color: Sequence[int]) -> None:
+    _draw_bars(meshcat, f"{path}/hand", hand_wireframe(choice.grasp)[0], CHOICE_RADIUS, color)
+    meshcat.SetObject(f"{path}/contact", Sphere(CONTACT_RADIUS), _rgba(color))
+    meshcat.SetTransform(f"{path}/contact", RigidTransform(choice.grasp.p_WContact[0]))
 
 
 def _draw_faint(meshcat: Any, path: str, ends: Array) -> None:

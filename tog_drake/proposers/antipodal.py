@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
+from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import (
     FINGER_THICKNESS,
     FINGERTIP_Z,
     MAX_OPENING,
     PAD_WIDTH,
     PALM_Z,
-    gripper_boxes,
 )
 from tog_drake.points import Rows, clusters, group_means, neighbors, voxel_numbers
 from tog_drake.values import Array, Grasps, Workspace
@@ -178,6 +178,7 @@ class _Sweep:
 
 REACH = 0.10  # [m] half the span of the profile: half a palm
 HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
+UNSEEN = 0.75  # cosine that a side gets which was not seen, when its outline is right
 SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of the slab: what a finger may touch
 
 
@@ -300,15 +301,15 @@ def _measure(
     """Exact width, centre, contact and score of each grip; those across two things are dropped."""
     count = len(grips.attempt)
     grip, e = _points_between(sweep, grips)
-    y, row = sweep.y[e], sweep.row[e]
+    x, y, row = sweep.x[e], sweep.y[e], sweep.row[e]
     start = np.searchsorted(grip, np.arange(count))  # every grip holds at least its anchor
     high, low = np.maximum.reduceat(y, start), np.minimum.reduceat(y, start)
     top = np.minimum.reduceat(sweep.z[e], start)
 
     anchor, R_WG = tries.anchor[grips.attempt], tries.R_WG[grips.attempt]
     towards_y = np.einsum("ei,ei->e", surface.normal[row], R_WG[grip, :, 1])
-    facing_high = _facing(towards_y, grip, y > high[grip] - 0.005, count)
-    facing_low = _facing(-towards_y, grip, y < low[grip] + 0.005, count)
+    facing_high, covered = _facing(x, y, towards_y, grip, high)
+    facing_low, _ = _facing(x, -y, -towards_y, grip, -low)
     contact = np.empty(count, dtype=np.int64)
     at_contact = y == np.where(facing_high >= facing_low, high, low)[grip]
     contact[grip[at_contact]] = row[at_contact]
@@ -319,18 +320,24 @@ def _measure(
     X_WG[:, :3, 3] = surface.point[anchor] + np.einsum("nij,nj->ni", R_WG, offset)
     width = high - low
     centroid = surface.centroid[surface.thing[anchor]]
-    score = (
-        0.40 * (facing_high + facing_low) / 2
-        + 0.20 * np.minimum((grips.tip - top) / 0.025, 1)
-        + 0.12 * (1 - np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)) / (np.pi / 2))
-        + 0.10 * _covered(sweep.x[e], grip, count)
-        + 0.12 * np.exp(-((np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1) / 0.08) ** 2))
-        + 0.06 * np.clip((config.max_width - width) / 0.02, 0, 1)
-    )
+    lever = np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1)
+    score = _score(facing_high, facing_low, grips.tip - top, -R_WG[:, 2, 2], covered, lever, width)
     foreign = surface.thing[row] != surface.thing[anchor][grip]
     single = (np.bincount(grip[foreign], minlength=count) == 0) & (width <= config.max_width)
     found = _Found(X_WG, width, score, surface.point[contact], anchor)
     return found.take(np.flatnonzero(single))
+
+
+def _score(facing_high, facing_low, depth, vertical, covered, lever, width):
+    facing = (facing_high + facing_low) / 2
+    return (
+        0.40 * facing
+        + 0.20 * np.minimum(depth / 0.025, 1)
+        + 0.12 * (1 - np.arccos(np.clip(vertical, -1, 1)) / (np.pi / 2))
+        + 0.10 * covered
+        + 0.12 * np.exp(-((lever / 0.08) ** 2))
+        + 0.06 * np.clip((0.072 - width) / 0.02, 0, 1)
+    )
 
 
 def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
@@ -344,28 +351,43 @@ def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
     return grip[between], e[between]
 
 
-def _facing(towards: Array, grip: Rows, at_end: Mask, count: int) -> Array:
-    """How well the surface at one finger faces it, in [0, 1], (K,); 0.5 where it was not seen.
+def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple[Array, Array]:
+    """How well the surface at the finger on the side of larger y faces it.
+
+    Where that surface was seen, its normals say so. Where it was not, only the outline is known:
+    it ought to run along the pad.
 
     Args:
-        towards: (E,) cosine between the surface's normal and the direction to the finger.
-        grip: (E,) which grip each belongs to.
-        at_end: (E,) whether the point is where the finger touches.
+        x, y: (E,) [m] the points between the fingers.
+        towards: (E,) cosine between their normals and the direction to the finger.
+        grip: (E,) 0 .. K−1, which grip each belongs to.
+        end: (K,) [m] the largest y of each grip.
+
+    Returns:
+        (K,) cosine; (K,) the share of the pad's width along which there is something to hold.
     """
+    count = len(end)
+    at_end = y > end[grip] - 0.005
     seen = at_end & (towards > 0.3)
-    seen_count = np.bincount(grip[seen], minlength=count)
-    all_count = np.bincount(grip[at_end], minlength=count)
-    mean = np.bincount(grip[seen], towards[seen], minlength=count) / np.maximum(seen_count, 1)
-    return np.where(seen_count >= 0.25 * all_count, mean, 0.5)
+    number = np.bincount(grip[seen], minlength=count)
+    by_normals = np.bincount(grip[seen], towards[seen], minlength=count) / np.maximum(number, 1)
+    enough = number >= 0.25 * np.bincount(grip[at_end], minlength=count)
 
-
-def _covered(x: Array, grip: Rows, count: int) -> Array:
-    """The share of the pads' width along which there is something to hold, (K,)."""
-    bins = 5
+    bins = 5  # along the pad
     column = np.clip((x / SLAB + 1) / 2 * bins, 0, bins - 1).astype(np.int64)
-    covered = np.zeros(count * bins)
-    covered[grip * bins + column] = 1
-    return np.asarray(covered.reshape(count, bins).mean(axis=1))
+    outline = np.full(count * bins, -np.inf, dtype=y.dtype)
+    np.maximum.at(outline, grip * bins + column, y)
+    outline = outline.reshape(count, bins)
+    held = np.isfinite(outline)
+    weight = held / held.sum(axis=1, keepdims=True)
+    place = np.arange(bins) * (2 * SLAB / bins)
+    place = place - (weight * place).sum(axis=1, keepdims=True)
+    level = np.where(held, outline, 0)
+    level -= (weight * level).sum(axis=1, keepdims=True)
+    spread = (weight * place**2).sum(axis=1)
+    slope = (weight * place * level).sum(axis=1) / np.maximum(spread, 1e-9)
+    by_outline = UNSEEN / np.sqrt(1 + slope**2)
+    return np.where(enough, by_normals, by_outline), held.mean(axis=1)
 
 
 def _best_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Grasps:
@@ -389,16 +411,8 @@ def _rank(group: Rows) -> Rows:
 def _is_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Mask:
     """Whether the open hand touches neither the table nor a point, for grasps at one anchor."""
     opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
-    box = np.array([gripper_boxes(float(o)) for o in opening])  # (N, lower and upper, 4, 3)
-    R_WG, p_WG = found.X_WG[:, :3, :3], found.X_WG[:, :3, 3]
-    middle = np.einsum("nbi,ni->nb", box.mean(axis=1), R_WG[:, 2]) + p_WG[:, 2:]
-    drop = np.einsum("nbi,ni->nb", np.diff(box, axis=1)[:, 0] / 2, np.abs(R_WG[:, 2]))
-    free = np.asarray(np.all(middle - drop >= table + config.table_clearance - 1e-9, axis=1))
-    lower, upper = box[:, 0] - config.clearance, box[:, 1] + config.clearance
+    lower, upper = hand_boxes(opening)
+    above = lowest_corner(found.X_WG, lower, upper) > table + config.table_clearance - 1e-6
     near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
-    R_GW = R_WG.transpose(0, 2, 1)
-    p_G = R_GW @ surface.point[near].T - R_GW @ p_WG[..., None]  # (N, 3, points)
-    for b in range(box.shape[2]):
-        inside = (p_G > lower[:, b, :, None]) & (p_G < upper[:, b, :, None])
-        free &= ~np.any(inside[:, 0] & inside[:, 1] & inside[:, 2], axis=1)
-    return free
+    lower, upper = lower - config.clearance, upper + config.clearance
+    return above & (points_inside(found.X_WG, lower, upper, surface.point[near]) == 0)

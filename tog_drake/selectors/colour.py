@@ -27,6 +27,32 @@ def chromaticity(rgb: NDArray[np.uint8] | Array) -> Array:
     return np.asarray((values + dim / 3) / (values.sum(axis=1, keepdims=True) + dim))
 
 
+def white_balanced(rgb: NDArray[np.uint8], image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Returns colours (N, 3) as under a white lamp.
+
+    The brightest part of the image (H, W, 3) is taken for white if it is nearly so; otherwise the
+    colours stay as they are.
+    """
+    pixels = image[::4, ::4].reshape(-1, 3).astype(np.float64)
+    brightness = pixels.sum(axis=1)
+    lamp = np.median(pixels[brightness >= np.percentile(brightness, 97)], axis=0)
+    if lamp.min() < 0.75 * lamp.max() or lamp.max() == 0:
+        return rgb
+    return np.asarray(np.rint(np.clip(rgb * (lamp.max() / lamp), 0, 255)), dtype=np.uint8)
+
+
+def rivals(name: str) -> list[str]:
+    """The names whose hues border on that of ``name``."""
+    if name not in _HUES:
+        return []
+    hue = _HUES[name][0]
+    return [
+        other
+        for other, (centre, _) in _HUES.items()
+        if other != name and abs((centre - hue + 180.0) % 360.0 - 180.0) < 60.0
+    ]
+
+
 def fit(rgb: NDArray[np.uint8], name: str) -> Array:
     """Returns how well a name of ``task.COLOUR_WORDS`` fits each colour: (N, 3) uint8 → (N,) 0..1.
 

@@ -140,7 +140,7 @@ def decision_image(
     if candidates is not None:
         K = len(candidates)
         colors = np.array([candidate_color(rank) for rank in range(K)]).reshape(K, 3)
-        faint = draw_grasps(view, candidates.grasps, FAINT_COLOR, thickness=1.0, opacity=0.25)
+        faint = draw_grasps(view, candidates.grasps, FAINT_COLOR, thickness=1.0, opacity=0.15)
         view = replace(view, rgb=faint)
         view = replace(
             view, rgb=draw_grasps(view, candidates.grasps.take(candidates.index), colors)
@@ -211,6 +211,7 @@ def _draw_dot(image: Image, center: Array, color: Sequence[int], radius: float) 
     if not np.isfinite(center).all():
         return
     u, v = np.round(center * 2**_SHIFT).astype(int).tolist()
-    for share, ink in ((1.0, OUTLINE_COLOR), (0.82, (255, 255, 255)), (0.55, color)):
+    rings = ((1.0, OUTLINE_COLOR), (0.84, (255, 255, 255)), (0.62, OUTLINE_COLOR), (0.5, color))
+    for share, ink in rings:
         size = round(share * radius * 2**_SHIFT)
         cv2.circle(image, (u, v), size, ink, cv2.FILLED, cv2.LINE_AA, _SHIFT)

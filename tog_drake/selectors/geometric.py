@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from tog_drake.errors import NoChoice
 from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH
 from tog_drake.selector import choose
-from tog_drake.selectors.colour import chromaticity
 from tog_drake.selectors.parts import (
     HOLD_FOR_USE,
     Mask,
@@ -23,7 +22,6 @@ from tog_drake.selectors.parts import (
     find_part,
     rule_of,
 )
-from tog_drake.selectors.segmentation import segment
 from tog_drake.selectors.targets import find_target
 from tog_drake.task import TaskReading, read_task
 from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, Grasps, View, Workspace
@@ -35,7 +33,7 @@ REACH = 0.012  # [m] a contact farther from the target's points than this is not
 class Geometric:
     """Reads words and shape; needs neither a model nor the network."""
 
-    min_on_part: float = 0.7
+    min_on_part: float = 0.5
     """A grasp is on a part when at least this share of the points between the pads is."""
     margin: float = 0.02
     """[m] A grasp this far inside its part is as good as any; nearer its edge it counts less."""
@@ -74,8 +72,8 @@ class GeometricSelector:
             raise NoChoice("There is no feasible grasp to choose from.")
         points = np.asarray(cloud.xyzs().T, dtype=np.float64) - [0.0, 0.0, self._table]
         rgb = np.asarray(cloud.rgbs().T, dtype=np.uint8)
-        label = segment(points, np.asarray(cloud.normals().T, np.float64), chromaticity(rgb))
-        target = find_target(reading, points, rgb, label)
+        normals = np.asarray(cloud.normals().T, dtype=np.float64)
+        target = find_target(reading, points, normals, rgb, view.rgb)
         grasps = _lowered(grasps, self._table)
         on_target = _on_target(grasps, points, target.mask)
         if not on_target.any():

@@ -16,6 +16,8 @@ from tog_drake.errors import NoChoice
 from tog_drake.selector import choose
 from tog_drake.values import Candidates, Choice, View
 
+_SURE = 0.99  # share of the closing region that must lie on allowed parts
+
 
 @dataclass
 class Oracle:
@@ -87,7 +89,13 @@ def choose_by_labels(
             f"{', '.join(labels.objects[target].part_words)}"
         )
     regions = labels.closing_region(grasps, query_object)
-    fits = np.array([model == target and part in allowed for model, part in regions])
+    share = np.array(
+        [
+            sum(s for (model, part), s in r.items() if model == target and part in allowed)
+            for r in regions
+        ]
+    )
+    fits = share > _SURE
     if not fits.any():
         raise NoChoice(
             f"oracle: none of {len(grasps)} feasible grasps closes on "
@@ -98,4 +106,5 @@ def choose_by_labels(
         f"Oracle, reading simulated labels: best of {fits.sum()} grasps on "
         f"{' or '.join(sorted(allowed))}."
     )
-    return choose(index, view, candidates, reason, part=regions[index][1])
+    part = max(regions[index].items(), key=lambda item: item[1])[0][1]
+    return choose(index, view, candidates, reason, part=part)

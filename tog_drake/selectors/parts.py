@@ -29,11 +29,13 @@ MAX_GAP = 0.010  # [m] between the points of one thing
 MIN_POINTS = 12  # fewer are no part
 MIN_CONTRAST = 1.25  # the wide portion of a tool is this much wider than the thin one
 MIN_ELONGATION = 1.8  # of a tool without a noun: length over width
+MIN_NECK = 0.25  # a bottle narrows at its neck by this much at least, in logarithms of width
 CIRCLE_TOLERANCE = 0.004  # [m]
+MIN_BULK = 0.10  # of a drill's silhouette is in each of its two bulky portions
 PROTRUSION = 0.008  # [m] beyond the circle begins the handle
 
 
-class PartNotFound(Exception):  # noqa: N818
+class PartNotFound(Exception):
     """The shape does not show the part; the message says why. It never leaves the selector."""
 
 
@@ -109,22 +111,23 @@ def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
     raise PartNotFound("its shape is neither long, nor round with a handle, nor upright")
 
 
-def fits_kind(points: Array, kind: Kind) -> bool:
-    """Whether the shape could be of the kind; coarse, to tell one thing from its neighbours."""
+def likeness(points: Array, kind: Kind) -> float:
+    """How much (0..1) the shape could be of the kind, to tell a thing from its neighbours."""
     frame = _Frame(points)
     if kind == "bottle":
-        return frame.upright and frame.height > 0.08
+        return float(frame.upright and frame.height > 0.08)
     if kind == "tool":
-        return frame.length > 0.12 and frame.length > MIN_ELONGATION * max(
-            frame.width, frame.height
-        )
+        long = frame.length > max(0.12, MIN_ELONGATION * frame.width)
+        return float(long and frame.height < 0.07)
     if kind == "animal":
-        return frame.length > 1.3 * frame.width and frame.height > 0.03 and not frame.upright
+        return float(frame.length > 1.3 * frame.width and frame.height > 0.03 and not frame.upright)
+    if kind == "vessel":
+        return _vessel_likeness(points, frame)
     try:
         find_part(points, "handle", Rule(kind))
     except PartNotFound:
-        return False
-    return True
+        return 0.0
+    return 1.0
 
 
 def find_part(points: Array, part: str, rule: Rule) -> Region:
@@ -293,6 +296,17 @@ def _protrusion(points: Array, circle: tuple[Array, float]) -> Mask | None:
     return mask if count.max() >= MIN_POINTS else None
 
 
+def _vessel_likeness(points: Array, frame: _Frame) -> float:
+    """Round, best also hollow and with a handle: what is seen within the rim lies below it."""
+    circle = _circle(points)
+    if circle is None or frame.height < 0.04 or frame.width < 0.55 * frame.length:
+        return 0.0
+    inner = np.linalg.norm(points[:, :2] - circle[0], axis=1) < 0.75 * circle[1]
+    deep = inner & (points[:, 2] < frame.height - 0.02)
+    hollow = inner.mean() < 0.05 or deep.sum() > 0.6 * inner.sum()
+    return 0.5 * float(hollow) + 0.3 * float(_protrusion(points, circle) is not None)
+
+
 def _vessel_part(points: Array, part: str, rule: Rule) -> Region:
     circle = _circle(points)
     if circle is None:
@@ -325,21 +339,32 @@ def _bottle_part(points: Array, part: str, rule: Rule) -> Region:
     if not frame.upright and _end(width, first=True) < _end(width, first=False):
         profile = _Profile(len(width) - 1 - profile.bin, width[::-1], profile.height[::-1])
         width = profile.width  # the narrow end is the top: last
-    wide = width > 0.7 * np.percentile(width, 90)
-    neck = int(np.flatnonzero(wide).max()) + 1
-    length = len(width) * BIN
-    if not 0.04 * len(width) <= len(width) - neck <= 0.5 * len(width):
-        neck = int(0.75 * len(width))
-        told = f"no neck seen: its {'upper' if frame.upright else 'narrower'} quarter"
+    neck = _neck(width)
+    if neck is None:
+        neck = len(width) * 3 // 4
+        told = f"no neck seen, so its {'upper' if frame.upright else 'narrower'} quarter is the top"
     else:
-        told = f"{(len(width) - neck) * BIN * 100:.0f} cm narrower than the body"
+        told = f"above its neck are {(len(width) - neck) * BIN * 100:.0f} cm, the top"
+    length = len(width) * BIN
     top = profile.bin >= neck
     how = f"{where}, {length * 100:.0f} cm long; {told}"
     if part in {"cap", "neck", "spout", "head"}:
-        return Region(top, f"{how}: the {part}")
+        return Region(top, how)
     if part in {"body", "handle", "base"}:
-        return Region(~top, f"{how}: the top; the rest is the {part}")
+        return Region(~top, f"{how}; the rest is the {part}")
     raise PartNotFound(f"a bottle shows no {part}")
+
+
+def _neck(width: Array) -> int | None:
+    """The bin in the upper half at which a bottle narrows most steeply; None if it does not."""
+    n = len(width)
+    rows = np.arange(max(2, n // 2), n - 2)
+    if len(rows) == 0:
+        return None
+    below = np.log(width[rows - 2] + width[rows - 1])
+    above = np.log(width[rows] + width[rows + 1])
+    best = int(np.argmax(below - above))
+    return int(rows[best]) if below[best] - above[best] > MIN_NECK else None
 
 
 def _end(values: Array, *, first: bool) -> float:
@@ -348,12 +373,14 @@ def _end(values: Array, *, first: bool) -> float:
 
 
 def _silhouette(points: Array) -> tuple[Mask, NDArray[np.int64]]:
-    """The object from above as a filled picture, and the pixel of each point."""
-    cell = np.floor(points[:, :2] / CELL).astype(np.int64)
+    """The object along its thinnest direction as a filled picture, and the pixel of each point."""
+    cells = np.unique(np.floor(points / CELL), axis=0)
+    axes = np.linalg.eigh(np.cov((cells - cells.mean(axis=0)).T))[1]
+    cell = np.floor(points @ axes[:, 1:] / CELL).astype(np.int64)
     cell -= cell.min(axis=0) - 12
     picture = np.zeros(cell.max(axis=0) + 13, dtype=bool)
     picture[tuple(cell.T)] = True
-    return ndimage.binary_closing(picture, _disc(2)), cell
+    return ndimage.binary_fill_holes(ndimage.binary_closing(picture, _disc(2))), cell
 
 
 def _disc(radius: float) -> Mask:
@@ -363,17 +390,22 @@ def _disc(radius: float) -> Mask:
 
 
 def _drill_part(points: Array, part: str, rule: Rule) -> Region:
-    """Takes ever thicker bulks until just two big ones are left; what joins them is the handle."""
+    """What joins the two bulky portions is the handle.
+
+    The picture is opened with ever larger discs, which leaves ever thicker portions. The largest
+    disc that still leaves two is taken, so that the bridge is seen at full length.
+    """
     picture, cell = _silhouette(points)
+    found = None
     for radius in np.arange(2.0, 12.0, 0.5):
-        bulk = ndimage.binary_opening(picture, _disc(radius))
-        label, count = ndimage.label(bulk)
-        area = np.bincount(label.ravel())[1:] if count else np.zeros(0)
-        big = np.flatnonzero(area > 0.12 * picture.sum()) + 1
+        label, count = ndimage.label(ndimage.binary_opening(picture, _disc(radius)))
+        area = np.bincount(label.ravel(), minlength=count + 1)
+        big = [i for i in range(1, count + 1) if area[i] > MIN_BULK * picture.sum()]
         if len(big) >= 2:
-            break
-    else:
+            found = label, area, big
+    if found is None:
         raise PartNotFound("no two bulky portions with a bridge between them are seen")
+    label, area, big = found
     rest, rests = ndimage.label(picture & ~np.isin(label, big))
     bridge = np.zeros_like(picture)
     for i in range(1, rests + 1):
@@ -384,10 +416,10 @@ def _drill_part(points: Array, part: str, rule: Rule) -> Region:
     if part == "handle":
         return Region(here, "the bridge between its two bulky portions is the handle")
     if part in {"body", "head", "chuck"}:
-        biggest = big[np.argmax(area[big - 1])]
+        biggest = max(big, key=lambda i: int(area[i]))
         return Region((label == biggest)[tuple(cell.T)], f"its bulkiest portion is the {part}")
     if part == "base":
-        smaller = big[np.argmin(area[big - 1])]
+        smaller = min(big, key=lambda i: int(area[i]))
         return Region((label == smaller)[tuple(cell.T)], "the smaller bulky portion is the base")
     raise PartNotFound(f"a drill shows no {part}")
 

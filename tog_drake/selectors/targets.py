@@ -1,23 +1,20 @@
 """Finds the thing that a task means among the things on the table, by colour and by shape."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from tog_drake.errors import NoChoice
-from tog_drake.selectors.colour import fit
-from tog_drake.selectors.parts import RULES, Mask, fits_kind
-from tog_drake.selectors.segmentation import Labels
+from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
+from tog_drake.selectors.parts import RULES, Mask, likeness
+from tog_drake.selectors.segmentation import Labels, cut_out, is_heap, segment
 from tog_drake.task import COLOUR_WORDS, TaskReading
 from tog_drake.values import Array
 
 MIN_FIT = 0.10  # of a colour name, averaged over a thing: less is another colour
 CLEAR = 0.6  # what fits less than this share as well as the best is another thing
-TOUCHING = 0.008  # [m] between pieces of one thing
-APART = 0.12  # [m] between two pieces of the named colour with a third between them
+RIVAL = 0.45  # a neighbouring colour may fit better, up to 1 / RIVAL times
 
 
 @dataclass(frozen=True)
@@ -29,112 +26,94 @@ class Target:
 
 
 def find_target(
-    reading: TaskReading, points: Array, rgb: NDArray[np.uint8], label: Labels
+    reading: TaskReading,
+    points: Array,
+    normals: Array,
+    rgb: NDArray[np.uint8],
+    image: NDArray[np.uint8],
 ) -> Target:
     """Returns the thing that the task means.
 
     Args:
         points: (N, 3) [m] of the cloud, z up, the table at z = 0.
+        normals: (N, 3).
         rgb: (N, 3) their colours.
-        label: (N,) the thing each belongs to, −1 for specks.
+        image: (H, W, 3) that the cloud was seen in; it tells the colour of the light.
 
     Raises NoChoice where nothing, or more than one thing, answers to the words.
     """
-    count = int(label.max(initial=-1)) + 1
-    if count == 0:
+    chroma = chromaticity(rgb)
+    things = _masks(segment(points, chroma))
+    if not things:
         raise NoChoice("Nothing that stands on the table is large enough to be an object.")
-    things = [label == i for i in range(count)]
+    noun = next((noun for noun in reading.objects if noun in RULES), "")
     if reading.colour is not None:
-        return _by_colour(reading, reading.colour, points, rgb, things)
-    if count == 1:
+        rgb = white_balanced(rgb, image)
+        fits = fit(rgb, reading.colour)
+        things = [
+            piece for thing in things for piece in _pieces(thing, points, normals, chroma, fits)
+        ]
+        return _by_colour(reading.colour, noun, points, rgb, things)
+    if len(things) == 1:
         return Target(things[0], "there is one object")
-    shaped = _shaped(reading, points, things)
+    shaped = _shaped(noun, points, things)
     if len(shaped) == 1:
-        return Target(
-            shaped[0], f"the one of {count} objects that has the shape of a {_noun(reading)}"
-        )
+        return Target(shaped[0], f"the one of {len(things)} objects with the shape of a {noun}")
     raise NoChoice(
-        f"{count} objects are in view and the task does not tell them apart"
-        + (f": {len(shaped)} could be a {_noun(reading)}" if _noun(reading) else "")
+        f"{len(things)} objects are in view and the task does not tell them apart"
+        + (f": {len(shaped)} could be a {noun}" if noun else "")
         + ". Name its colour, such as 'the red one'."
     )
 
 
+def _masks(label: Labels) -> list[Mask]:
+    return [label == i for i in range(int(label.max(initial=-1)) + 1)]
+
+
+def _pieces(thing: Mask, points: Array, normals: Array, chroma: Array, fits: Array) -> list[Mask]:
+    """The thing itself, or, if it is a heap of things, those in it that the colour fits."""
+    if not is_heap(points[thing]):
+        return [thing]
+    pieces = _masks(cut_out(points[thing], normals[thing], chroma[thing], fits[thing]))
+    masks = np.zeros((len(pieces), len(points)), dtype=bool)
+    for mask, piece in zip(masks, pieces, strict=True):
+        mask[thing] = piece
+    return list(masks)
+
+
 def _by_colour(
-    reading: TaskReading, colour: str, points: Array, rgb: NDArray[np.uint8], things: list[Mask]
+    colour: str, noun: str, points: Array, rgb: NDArray[np.uint8], things: list[Mask]
 ) -> Target:
-    fits = fit(rgb, colour)
-    things = _grouped(points, fits, things)
-    mean = np.array([fits[thing].mean() for thing in things])
-    best = mean.max()
+    mean = np.array([_mean_fit(rgb[thing], colour) for thing in things])
+    best = mean.max(initial=0.0)
     if best < MIN_FIT:
-        seen = sorted({_colour_of(rgb[thing]) for thing in things})
-        raise NoChoice(f"Nothing in view is {colour}; what is there is {', '.join(seen)}.")
+        seen = ", ".join(sorted({_colour_of(rgb[thing]) for thing in things})) or "something else"
+        raise NoChoice(f"Nothing in view is {colour}; what is there is {seen}.")
     near = [thing for thing, m in zip(things, mean, strict=True) if m > CLEAR * best]
-    told = f"the {colour} object"
-    if len(near) > 1:
-        shaped = _shaped(reading, points, near)
-        if len(shaped) == 1:
-            return Target(shaped[0], f"{told} that has the shape of a {_noun(reading)}")
-        raise NoChoice(
-            f"{len(near)} objects in view are {colour}, and their shape does not tell which is "
-            f"meant. Leave only one in view, or name the object."
-        )
-    others = f" of {len(things)}" if len(things) > 1 else ""
-    return Target(near[0], f"{told}{others} ({colour} fits it to {best:.0%})")
+    if len(near) == 1:
+        return Target(near[0], f"the {colour} object ({colour} fits it to {best:.0%})")
+    shaped = _shaped(noun, points, near)
+    if len(shaped) == 1:
+        return Target(shaped[0], f"the {colour} object with the shape of a {noun}")
+    raise NoChoice(
+        f"{len(near)} objects in view are {colour}, and their shape does not tell which is meant. "
+        "Leave only one in view, or name the object."
+    )
 
 
-def _grouped(points: Array, fits: Array, things: list[Mask]) -> list[Mask]:
-    """Joins pieces of a cut heap: those of the named colour, with what lies between them.
-
-    A black grip between the orange body and the orange battery is part of the orange drill.
-    """
-    mean = np.array([fits[thing].mean() for thing in things])
-    coloured = [
-        i for i in np.argsort(-mean, kind="stable") if mean[i] > max(MIN_FIT, 0.5 * mean.max())
-    ]
-    trees = [cKDTree(points[thing]) for thing in things]
-
-    def gap(i: int, j: int) -> float:
-        return float(trees[i].query(points[things[j]])[0].min())
-
-    group = np.arange(len(things))
-    for n, i in enumerate(coloured):
-        for j in coloured[n + 1 :]:
-            if group[i] == group[j] or gap(i, j) > APART:
-                continue
-            if gap(i, j) < TOUCHING:
-                between = []
-            else:
-                inside = _hull(points, things[i] | things[j])
-                between = [k for k in range(len(things)) if k != i and k != j and inside(things[k])]
-                if not any(gap(i, k) < TOUCHING and gap(j, k) < TOUCHING for k in between):
-                    continue
-            for k in [j, *between]:
-                group[group == group[k]] = group[i]
-    return [
-        np.any([things[k] for k in np.flatnonzero(group == g)], axis=0) for g in np.unique(group)
-    ]
+def _mean_fit(rgb: NDArray[np.uint8], colour: str) -> float:
+    """How well a colour fits a thing; 0 where a neighbouring one fits it far better."""
+    mean = float(fit(rgb, colour).mean())
+    rival = max((float(fit(rgb, other).mean()) for other in rivals(colour)), default=0.0)
+    return mean if mean > RIVAL * rival else 0.0
 
 
-def _hull(points: Array, corners: Mask) -> Callable[[Mask], bool]:
-    """Whether, seen from above, most of a thing lies within the convex hull of ``corners``."""
-    try:
-        xy = points[corners, :2]
-        hull = Delaunay(xy[ConvexHull(xy).vertices])
-    except QhullError:  # all on a line
-        return lambda thing: False
-    return lambda thing: bool((hull.find_simplex(points[thing, :2]) >= 0).mean() > 0.7)
-
-
-def _shaped(reading: TaskReading, points: Array, things: list[Mask]) -> list[Mask]:
-    """The things that have the shape of the first noun that is known."""
-    noun = _noun(reading)
-    return [t for t in things if noun and fits_kind(points[t], RULES[noun].kind)]
-
-
-def _noun(reading: TaskReading) -> str:
-    return next((noun for noun in reading.objects if noun in RULES), "")
+def _shaped(noun: str, points: Array, things: list[Mask]) -> list[Mask]:
+    """The things most like the noun; none where it is not known or nothing is like it."""
+    if not noun:
+        return []
+    like = np.array([likeness(points[thing], RULES[noun].kind) for thing in things])
+    return [things[i] for i in np.flatnonzero((like > 0) & (like >= like.max()))]
 
 
 def _colour_of(rgb: NDArray[np.uint8]) -> str:
