@@ -252,32 +252,6 @@ def test_known_postures_are_free_or_in_collision(model: PlanningModel, opening: 
     postures = np.array([HOME, FOLDED, through_table, upright])
     free = model.check_configs(postures, opening)
     np.testing.assert_array_equal(free, [True, False, False, True])
-    np.testing.assert_array_equal(model.clearance(postures, opening) > 0.0, free)
-
-
-def test_clearance_is_the_height_of_the_fingertips_above_the_table(model: PlanningModel) -> None:
-    pointing_down = np.array([0.0, 0.5, 0.0, -2.2, 0.0, 2.7, np.pi / 4])
-    np.testing.assert_allclose(model.X_WG(pointing_down)[:3, 2], [0, 0, -1], atol=1e-9)
-    height = model.X_WG(pointing_down)[2, 3] - panda.PAD_WIDTH / 2
-    assert 0.01 < height < 0.04  # nothing else is as near to anything
-    assert model.clearance(pointing_down[None], 0.08)[0] == pytest.approx(height, abs=1e-6)
-    assert model.clearance(pointing_down[None], 0.08, reach=0.01)[0] == 0.01
-
-
-def test_padding_turns_a_near_miss_into_a_collision(model: PlanningModel) -> None:
-    clearance = model.clearance(HOME[None], 0.0)[0]
-    wary = MakePlanningModel(padding=clearance + 0.005)
-    assert model.check_configs(HOME[None], 0.0)[0]
-    assert not wary.check_configs(HOME[None], 0.0)[0]
-
-
-def test_an_obstacle_is_in_the_way_of_the_copy_alone(model: PlanningModel) -> None:
-    in_the_hand = model.X_WG(HOME)[:3, 3]
-    blocked = model.with_obstacles(np.array([[0.8, 0.5, 0.5], in_the_hand]), 0.02)
-    assert model.check_configs(HOME[None], 0.03)[0]
-    assert not blocked.check_configs(HOME[None], 0.03)[0]
-    assert blocked.check_configs(HOME[None], 0.08)[0]
-    np.testing.assert_array_equal(blocked.spheres(HOME, 0.0)[0], model.spheres(HOME, 0.0)[0])
 
 
 def test_spheres_cover_the_collision_geometry_wherever_the_robot_is(model: PlanningModel) -> None:

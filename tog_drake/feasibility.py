@@ -15,7 +15,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoGrasp
 from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
-from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG
+from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, arrival_opening
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
@@ -53,7 +53,6 @@ class FeasibilityConfig:
     limit_margin: float = 0.05  # [rad] kept from every joint limit
     q7_samples: int = 24  # around the circle
     attempts: int = 6  # configurations tried per grasp, the most convenient first
-    opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
     hand_tolerance: float = 0.002  # [m] by which points may enter the hand's boxes: depth noise
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
     table_clearance: float = 0.001  # [m] of the hand above the table
@@ -90,7 +89,7 @@ def feasible_grasps(
     if len(grasps) == 0:
         raise NoGrasp("no grasp was proposed: show the object better, or use another proposer")
     points = cloud.xyzs().T[np.isfinite(cloud.xyzs()).all(axis=0)]
-    opening = np.minimum(grasps.width + config.opening_margin, MAX_OPENING)
+    opening = arrival_opening(grasps.width)
     lower, upper = hand_boxes(opening, config.pregrasp_distance)
     low = lowest_corner(grasps.X_WG, lower, upper) < table_height + config.table_clearance
     tolerance = config.hand_tolerance

@@ -47,8 +47,16 @@ PALM_Z = -0.0375  # [m] the palm's lower face, along z_G
 JOINT_NAMES = tuple(f"panda_joint{i}" for i in range(1, 8))
 FINGER_JOINT_NAMES = ("panda_finger_joint1", "panda_finger_joint2")
 
+OPENING_MARGIN = 0.04  # [m] the hand arrives open this much wider than the grasp, if it can
+
 X_HG = np.eye(4)
 X_HG[2, 3] = GRASP_Z
+
+
+def arrival_opening(width: Array) -> Array:
+    """Returns how far the hand opens [m] to arrive at grasps of ``width`` (...) [m]."""
+    opening: Array = np.minimum(width + OPENING_MARGIN, MAX_OPENING)
+    return opening
 
 
 def gripper_boxes(opening: float) -> tuple[Array, Array]:

@@ -1,29 +1,27 @@
 """What the robot knows of itself and of its world: arm, hand and table, and no camera data.
 
-The same model answers three kinds of question:
+The same model answers two kinds of question:
 
 - exact ones, by Drake's collision checker (tens of µs a configuration);
 - many approximate ones, by spheres that cover the robot and whose centres numpy computes for
-  thousands of configurations at once (a few µs a configuration);
-- optimisation: a copy whose world also holds spheres for what the camera saw.
+  thousands of configurations at once (a few µs a configuration).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common import Parallelism
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, SceneGraph, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, SceneGraph
 from pydrake.multibody.parsing import (
     LoadModelDirectives,
     ModelDirective,
     ModelDirectives,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Joint, RigidBody, SpatialInertia
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
 from pydrake.planning import (
     CollisionCheckerParams,
     RobotDiagram,
@@ -65,8 +63,6 @@ class PlanningModel:
     checker: SceneGraphCollisionChecker
     X_WL0: Array  # (4, 4) where the arm stands
     cover: SphereCover
-    directives: list[ModelDirective]
-    padding: float  # [m] distance below which the checker says "collision"
 
     def full_positions(self, q: Array, opening: float) -> Array:
         """Returns the plant's positions for arm angles q (..., 7): (..., 9), fingers last."""
@@ -86,26 +82,6 @@ class PlanningModel:
             except RuntimeError:
                 free[i] = False
         return free
-
-    def clearance(self, q: Array, opening: float, reach: float = 0.2) -> Array:
-        """Returns the least distance between any two bodies that may collide, less the padding.
-
-        Args:
-            q: (N, 7) [rad].
-            opening: [m].
-            reach: distances are clipped here [m].
-
-        Returns:
-            (N,) [m], negative in collision; −inf where a distance cannot be computed.
-        """
-        clearance = np.full(len(q), -np.inf)
-        for i, positions in enumerate(self.full_positions(q, opening)):
-            try:
-                distances = self.checker.CalcRobotClearance(positions, reach).distances()
-                clearance[i] = np.min(distances, initial=reach)
-            except RuntimeError:
-                continue
-        return clearance
 
     def X_WH(self, q: Array) -> Array:
         """Returns the pose of the hand body at q (..., 7): (..., 4, 4)."""
@@ -129,26 +105,15 @@ class PlanningModel:
         X_WL = self.X_WL0 @ link_frames(q)[..., :8, :, :]
         return self.cover.centres(X_WL, opening), self.cover.radius, self.cover.body
 
-    def with_obstacles(self, centres: Array, radius: float) -> "PlanningModel":
-        """Returns a new model whose world also holds spheres, for optimisation.
-
-        Args:
-            centres: (M, 3) [m] in W. Building takes about 0.5 ms a sphere.
-            radius: of each [m].
-        """
-        plant, diagram, checker = _build(self.directives, self.padding, centres, radius)
-        return replace(self, plant=plant, diagram=diagram, checker=checker)
-
 
 def MakePlanningModel(
-    directives: list[ModelDirective] | None = None, *, padding: float = 0.0
+    directives: list[ModelDirective] | None = None,
 ) -> PlanningModel:
     """Builds what the robot knows from model directives.
 
     Args:
         directives: the known world; they must name the arm ``panda`` and the hand ``hand``, and
             hold no other joints. None is the Panda on its table.
-        padding: distance [m] below which two bodies count as colliding.
 
     Raises:
         InputError: a model or joint is missing, or there are joints too many.
@@ -156,20 +121,19 @@ def MakePlanningModel(
     if directives is None:
         file = resource_dir("models") / DEFAULT_DIRECTIVES
         directives = LoadModelDirectives(file).directives
-    plant, diagram, checker = _build(directives, padding, np.zeros((0, 3)), 0.0)
+    plant, diagram, checker = _build(directives)
     X_WL0 = _body_poses(plant, 0.0)[plant.GetBodyByName(BASE_LINK).index()]
     cover = _cover(diagram, X_WL0)
-    return PlanningModel(diagram, plant, checker, X_WL0, cover, directives, padding)
+    return PlanningModel(diagram, plant, checker, X_WL0, cover)
 
 
 def _build(
-    directives: list[ModelDirective], padding: float, centres: Array, radius: float
+    directives: list[ModelDirective],
 ) -> tuple[MultibodyPlant, RobotDiagram, SceneGraphCollisionChecker]:
     builder = RobotDiagramBuilder(time_step=0.0)
     builder.parser().package_map().AddMap(make_package_map())
     ProcessModelDirectives(ModelDirectives(directives=directives), builder.parser())
     plant = builder.plant()
-    _add_obstacles(plant, centres, radius)
     plant.Finalize()
     _require_panda(plant)
     _filter_wrist(plant, builder.scene_graph())
@@ -178,8 +142,6 @@ def _build(
         model=diagram,
         robot_model_instances=sorted({body.model_instance() for body in _robot_bodies(plant)}),
         edge_step_size=0.05,  # [rad] used by none of ours, but must be given
-        env_collision_padding=padding,
-        self_collision_padding=padding,
         implicit_context_parallelism=Parallelism(1),
     )
     return plant, diagram, SceneGraphCollisionChecker(params)
@@ -193,19 +155,6 @@ def _filter_wrist(plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
             for name in pair
         )
         manager.Apply(CollisionFilterDeclaration().ExcludeBetween(first, second))
-
-
-def _add_obstacles(plant: MultibodyPlant, centres: Array, radius: float) -> None:
-    """Registers all spheres on one welded body: a body each would cost far more."""
-    if len(centres) == 0:
-        return
-    instance = plant.AddModelInstance("obstacles")
-    body = plant.AddRigidBody("obstacles", instance, SpatialInertia.Zero())
-    plant.WeldFrames(plant.world_frame(), body.body_frame())
-    for i, centre in enumerate(centres):
-        plant.RegisterCollisionGeometry(
-            body, RigidTransform(centre), Sphere(radius), f"obstacle{i}", CoulombFriction()
-        )
 
 
 def _require_panda(plant: MultibodyPlant) -> None:

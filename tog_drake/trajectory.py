@@ -12,7 +12,7 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 from tog_drake.clearance import Scene
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
-from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
+from tog_drake.panda import A_MAX, J_MAX, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
 from tog_drake.timing import PEAK_SPEED, JointLimits, SplineConfig, optimize_spline, rest_to_rest
@@ -39,7 +39,6 @@ class TrajectoryConfig:
     shortcuts: int = 30  # tried on a path that is not straight
     attempts: int = 5  # paths and splines tried before the arm is sent along a path with stops
     check_step: float = 0.01  # [rad] between checked configurations of the motion
-    opening_margin: float = 0.04  # [m] by which the hand opens wider than the grasp
     closed: float = -0.02  # [m] commanded opening: beyond contact, so that the hand presses
     closing_speed: float = 0.1  # [m/s] of the commanded opening
     settle_time: float = 0.2  # [s] of standing still with the hand closed, before the lift
@@ -78,7 +77,7 @@ def plan_motion(
     _require_plausible(q_now)
     limits = _limits(config, np.vstack([q_now, q_approach, q_lift]))
     points = np.asarray(cloud.xyzs().T, dtype=float)
-    opening = min(float(choice.grasp.width[0]) + config.opening_margin, MAX_OPENING)
+    opening = float(arrival_opening(choice.grasp.width)[0])
     scene = Scene(planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening)
 
     transfer, note = _transfer(q_now, q_approach[0], scene, limits, config, seed)

@@ -32,8 +32,8 @@ class Antipodal:
     """How densely to search and what counts as a good grasp."""
 
     voxel: float = 0.004  # [m] resolution at which the cloud is searched
-    anchor_spacing: float = 0.010  # [m] between anchors
-    max_anchors: int = 80  # spread over the cloud when there would be more
+    anchor_spacing: float = 0.012  # [m] between anchors
+    max_anchors: int = 160  # spread over the cloud when there would be more, as in clutter
     yaws: int = 8  # closing directions over half a turn, the first across the local shape
     tilts_deg: list[float] = field(default_factory=lambda: [20.0, 40.0, 60.0])  # besides vertical
     depths: list[float] = field(default_factory=lambda: [0.012, 0.022, 0.032, 0.042])
@@ -79,93 +79,6 @@ class AntipodalProposer:
 
 
 @dataclass(frozen=True)
-class _Surface:
-    """The cloud, thinned."""
-
-    point: Array  # (N, 3) [m]
-    normal: Array  # (N, 3)
-    thing: Rows  # (N,) which connected thing each point belongs to
-    centroid: Array  # (T, 3) [m] of each thing
-    tree: cKDTree
-
-
-def _surface(cloud: PointCloud, voxel: float) -> _Surface:
-    point, normal = cloud.xyzs().T.astype(np.float64), cloud.normals().T.astype(np.float64)
-    order = np.lexsort(point.T)  # so that sums do not depend on the order of the points
-    point, normal = point[order], normal[order]
-    number = voxel_numbers(point, voxel)
-    point, normal = group_means(number, point), group_means(number, normal)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
-    thing = clusters(neighbors(point, 12), 2.5 * voxel)
-    return _Surface(point, normal, thing, group_means(thing, point), cKDTree(point))
-
-
-def _anchors(surface: _Surface, config: Antipodal, rng: np.random.Generator) -> Rows:
-    """The rows of the points to grasp at: one per grid cell, spread over the cloud."""
-    shifted = surface.point + rng.uniform(0, config.anchor_spacing, 3)
-    cell = voxel_numbers(shifted, config.anchor_spacing)
-    middle = group_means(cell, surface.point)
-    row: Rows = np.unique(surface.tree.query(middle)[1]).astype(np.int64)
-    if len(row) <= config.max_anchors:
-        return row
-    # Farthest-point sampling, in which distances count more where there is little surface around:
-    # a shaft or a rim gets more anchors than its area would earn.
-    count = surface.tree.query_ball_point(surface.point[row], 0.02, return_length=True)
-    weight = np.sqrt(count.max() / count)
-    picked = [int(np.argmax(weight))]
-    distance = np.full(len(row), np.inf)
-    while len(picked) < config.max_anchors:
-        step = np.linalg.norm(surface.point[row] - surface.point[row[picked[-1]]], axis=1)
-        distance = np.minimum(distance, step)
-        picked.append(int(np.argmax(distance * weight)))
-    return np.sort(row[picked])
-
-
-@dataclass(frozen=True)
-class _Tries:
-    """H hands, each with its origin at an anchor, before depth and centre are known."""
-
-    anchor: Rows  # (H,) rows of the surface
-    R_WG: Array  # (H, 3, 3)
-    per_anchor: int  # the tries of one anchor are consecutive
-
-
-def _tries(surface: _Surface, anchor: Rows, config: Antipodal) -> _Tries:
-    lean = _leans(np.radians(config.tilts_deg))  # (L, 3, 3)
-    across = np.array([_across(surface, row) for row in anchor])  # (A,)
-    yaw = across[:, None] + np.arange(config.yaws) * np.pi / config.yaws  # (A, Y)
-    c, s, o = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
-    # Columns x, y (closing), z (approach) of a hand that points straight down.
-    down = np.stack([np.stack(v, -1) for v in ([-s, c, o], [c, s, o], [o, o, o - 1])], -1)
-    R_WG = down[:, :, None] @ lean  # (A, Y, L, 3, 3)
-    per_anchor = R_WG.shape[1] * R_WG.shape[2]
-    return _Tries(np.repeat(anchor, per_anchor), R_WG.reshape(-1, 3, 3), per_anchor)
-
-
-def _leans(tilt: Array) -> Array:
-    """Rotations of the hand away from the vertical, (L, 3, 3).
-
-    About the closing axis y by every tilt, so that both fingers stay level; about x, which lowers
-    one finger, by tilts up to 45° only.
-    """
-    lean = [np.eye(3)]
-    for t in np.concatenate([tilt, -tilt]):
-        c, s = np.cos(t), np.sin(t)
-        lean.append(np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
-        if abs(t) < np.pi / 4:
-            lean.append(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
-    return np.array(lean)
-
-
-def _across(surface: _Surface, row: np.int64) -> float:
-    """The horizontal direction [rad] across the longest extent of what is around a point."""
-    around = surface.point[surface.tree.query_ball_point(surface.point[row], 0.025)][:, :2]
-    spread = around - around.mean(axis=0)
-    x, y = np.linalg.eigh(spread.T @ spread)[1][:, 0]
-    return float(np.arctan2(y, x))
-
-
-@dataclass(frozen=True)
 class _Sweep:
     """E pairs of a try and a point in its slab: |x| < half a pad, in G's axes at the anchor."""
 
@@ -182,7 +95,7 @@ UNSEEN = 0.75  # cosine that a side gets which was not seen, when its outline is
 SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of the slab: what a finger may touch
 
 
-def _sweep(surface: _Surface, tries: _Tries, deepest: float) -> _Sweep:
+def _sweep(surface: Surface, tries: Tries, deepest: float) -> _Sweep:
     """All points that the hands of ``tries`` could touch when their tips go ``deepest`` [m]."""
     sweeps = []
     for start in range(0, len(tries.anchor), tries.per_anchor):
@@ -209,7 +122,7 @@ class _Grips:
 
 
 def _walk(
-    surface: _Surface, tries: _Tries, sweep: _Sweep, config: Antipodal, table: float
+    surface: Surface, tries: Tries, sweep: _Sweep, config: Antipodal, table: float
 ) -> _Grips:
     """Walks over the profiles from the anchors outwards, at each depth."""
     profile = _profiles(len(tries.anchor), sweep, config.bin)
@@ -243,7 +156,7 @@ def _profiles(count: int, sweep: _Sweep, bin_size: float) -> Array:
     return profile.reshape(count, -1)
 
 
-def _lowest_tip(surface: _Surface, tries: _Tries, floor: float) -> Array:
+def _lowest_tip(surface: Surface, tries: Tries, floor: float) -> Array:
     """How far beyond the anchor along z (H,) [m] the tips of the open hand stay above ``floor``."""
     x_z, y_z, z_z = np.moveaxis(tries.R_WG[:, 2, :], -1, 0)
     side = np.abs(x_z) * 0.011 + np.abs(y_z) * (MAX_OPENING / 2 + FINGER_THICKNESS)
@@ -296,7 +209,7 @@ class _Found(Grasps):
 
 
 def _measure(
-    surface: _Surface, tries: _Tries, sweep: _Sweep, grips: _Grips, config: Antipodal
+    surface: Surface, tries: Tries, sweep: _Sweep, grips: _Grips, config: Antipodal
 ) -> _Found:
     """Exact width, centre, contact and score of each grip; those across two things are dropped."""
     count = len(grips.attempt)
@@ -390,7 +303,7 @@ def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple
     return np.where(enough, by_normals, by_outline), held.mean(axis=1)
 
 
-def _best_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Grasps:
+def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Grasps:
     """Of the best grasps of each anchor those at which the open hand is free, best first."""
     found = found.take(np.lexsort((-found.score, found.anchor)))
     found = found.take(np.flatnonzero(_rank(found.anchor) < config.per_anchor))
@@ -408,7 +321,7 @@ def _rank(group: Rows) -> Rows:
     return np.arange(len(group)) - np.searchsorted(group, group)
 
 
-def _is_free(found: _Found, surface: _Surface, config: Antipodal, table: float) -> Mask:
+def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Mask:
     """Whether the open hand touches neither the table nor a point, for grasps at one anchor."""
     opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
     lower, upper = hand_boxes(opening)

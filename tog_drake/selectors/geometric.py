@@ -35,7 +35,7 @@ class Geometric:
 
     min_on_part: float = 0.5
     """A grasp is on a part when at least this share of the points between the pads is."""
-    margin: float = 0.02
+    margin: float = 0.03
     """[m] A grasp this far inside its part is as good as any; nearer its edge it counts less."""
 
 
@@ -107,7 +107,7 @@ class GeometricSelector:
         if not part.all() and part.any():
             depth = cKDTree(thing[~part]).query(grasps.X_WG[:, :3, 3])[0]
             margin = np.minimum(depth / self._config.margin, 1.0)
-        value = grasps.score * (0.1 + share) * (0.5 + 0.5 * margin)
+        value = grasps.score * (0.1 + share**2) * (0.4 + 0.6 * margin)
         return value, contact & (share >= self._config.min_on_part)
 
 

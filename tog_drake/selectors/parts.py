@@ -31,6 +31,7 @@ MIN_CONTRAST = 1.25  # the wide portion of a tool is this much wider than the th
 MIN_ELONGATION = 1.8  # of a tool without a noun: length over width
 MIN_NECK = 0.25  # a bottle narrows at its neck by this much at least, in logarithms of width
 CIRCLE_TOLERANCE = 0.004  # [m]
+TAIL_ROOT = 2  # bins behind the thick middle that still belong to the rump
 MIN_BULK = 0.10  # of a drill's silhouette is in each of its two bulky portions
 PROTRUSION = 0.008  # [m] beyond the circle begins the handle
 
@@ -451,7 +452,7 @@ def _animal_part(points: Array, part: str, rule: Rule) -> Region:
     low = z < 0.3 * z.max()
     trunk = (profile.bin >= begin) & (profile.bin < end)
     masks = {
-        "tail": (profile.bin >= end, "its low, tapering end"),
+        "tail": (profile.bin >= end + TAIL_ROOT, "its low, tapering end"),
         "leg": (low & (profile.bin < end), "what is low under its middle"),
         "head": (head, told),
         "horn": (head, told),

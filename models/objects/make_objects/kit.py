@@ -232,14 +232,16 @@ def inertial_xml(pieces: Sequence[Piece]) -> str:
     centre = total.get_com()
     moments = total.Shift(centre).CalcRotationalInertia().CopyToFullMatrix3()
     moments[np.abs(moments) < 1e-9] = 0.0
-    upper = [(i, j) for i in range(3) for j in range(i, 3)]
-    rows = [f"          <i{'xyz'[i]}{'xyz'[j]}>{moments[i, j]:.4g}" for i, j in upper]
-    closed = "".join(f"{row}</{row.strip()[1:4]}>\n" for row in rows)
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    rows = "".join(
+        f"          <{name}>{moment:.4g}</{name}>\n"
+        for name, moment in zip(names, moments[np.triu_indices(3)], strict=True)
+    )
     return (
         "      <inertial>\n"
         f"        <pose>{text(np.round(centre, 5))} 0 0 0</pose>\n"
         f"        <mass>{total.get_mass():.4g}</mass>\n"
-        f"        <inertia>\n{closed}        </inertia>\n"
+        f"        <inertia>\n{rows}        </inertia>\n"
         "      </inertial>\n"
     )
 
