@@ -27,7 +27,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/test.stamp
-	$(BIN)/python -m pytest tests/benchmarks --benchmark-only
+	$(BIN)/python -m pytest tests/benchmarks/bench_stages.py --benchmark-columns=median,iqr,rounds --benchmark-sort=fullname
 
 eval: $(VENV)/test.stamp
 	$(BIN)/tog eval --selectors top-score,oracle,geometric --seeds 5 --workers 2 --out out/eval

@@ -1,5 +1,7 @@
 """The built-in objects: their files, their mass, their rest on a table."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -124,7 +126,22 @@ def local_name(inspector: SceneGraphInspector, geometry: GeometryId) -> str:
 
 def test_the_folder_holds_these_objects_and_no_others():
     folders = (resource_dir("models") / "objects").iterdir()
-    assert sorted(f.name for f in folders if f.is_dir()) == sorted(NAMES)
+    assert sorted(f.name for f in folders if f.is_dir()) == sorted([*NAMES, "make_objects"])
+
+
+def test_the_object_files_are_what_their_generator_writes(tmp_path: Path):
+    objects = resource_dir("models") / "objects"
+    subprocess.run([sys.executable, str(objects / "make_objects"), str(tmp_path)], check=True)
+    assert sorted(f.name for f in tmp_path.iterdir()) == sorted(NAMES)
+    for name in NAMES:
+        written = sorted(f.name for f in (tmp_path / name).iterdir())
+        # The labels are written by hand.
+        assert sorted([*written, "parts.yaml"]) == sorted(
+            f.name for f in (objects / name).iterdir()
+        )
+        for file in written:
+            same = (tmp_path / name / file).read_bytes() == (objects / name / file).read_bytes()
+            assert same, f"{name}/{file}"
 
 
 @pytest.mark.parametrize("name", NAMES)

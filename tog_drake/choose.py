@@ -9,7 +9,7 @@ import numpy as np
 
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
-from tog_drake.errors import EpisodeError, NoGrasp
+from tog_drake.errors import EpisodeError, InputError, NoGrasp
 from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
 from tog_drake.table import find_table
 from tog_drake.task import read_task
@@ -34,7 +34,7 @@ def choose_on_view(
         X_WC: the camera's pose in a world whose z points up, (4, 4), if known: tells up.
 
     Raises:
-        InputError: if there is no table in view, or the task is empty.
+        InputError: if there is no table or nothing on it in view, or the task is empty.
     """
     read_task(task)
     decision = Decision()
@@ -54,7 +54,10 @@ def choose_on_view(
     decision.view = view
     try:
         cloud = timed("cloud", lambda: scene_cloud(view, config.workspace, config.cloud))
-        decision.cloud = cloud
+    except NoGrasp as error:
+        raise InputError(str(error)) from error  # here the view is what was given
+    decision.cloud = cloud
+    try:
         grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud))
         decision.grasps = grasps
         if len(grasps) == 0:

@@ -2,12 +2,13 @@
 
 import json
 import logging
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import typer
 from rich.console import Console
@@ -81,8 +82,11 @@ def run(
     from tog_drake.episode import run_episode
     from tog_drake.report import write_report
     from tog_drake.showing import report_of, save_record, show_live
+    from tog_drake.task import read_task
 
     console = _console(as_json)
+    _check_folder(out)
+    read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
     loaded = _load(name, scenario_text, selector, proposer, k, seed)
     live = show_live(console) if meshcat else None
@@ -93,7 +97,7 @@ def run(
     save_record(out / "episode.json", episode.record)
     write_report(out / "report.html", [report_of(episode)])
     _print_stages(console, episode.record)
-    console.print(f"report: {out / 'report.html'}", highlight=False)
+    _say(console, f"report: {out / 'report.html'}")
     _print_json(as_json, episode.record)
     raise typer.Exit(0 if episode.record["outcome"] == "lifted" else 1)
 
@@ -112,6 +116,7 @@ def demo(
     from tog_drake.visualization import make_meshcat
 
     console = _console(as_json=False)
+    _check_folder(out)
     loaded = _load(DEFAULT_SCENARIO, None, None, None, None, seed)
     episodes = []
     for label, task in DEMO_TASKS.items():
@@ -123,7 +128,7 @@ def demo(
         _print_stages(console, episode.record)
         episodes.append(episode)
     write_report(out / "report.html", [report_of(episode) for episode in episodes])
-    console.print(f"report: {out / 'report.html'}", highlight=False)
+    _say(console, f"report: {out / 'report.html'}")
     good = all(episode.record["combined_success"] for episode in episodes)
     raise typer.Exit(0 if good else 1)
 
@@ -163,6 +168,7 @@ def choose(
     from tog_drake.selectors.drawing import decision_image, encode_png
 
     console = _console(as_json)
+    _check_folder(out)
     config = _overridden_pipeline(selector, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
@@ -173,7 +179,7 @@ def choose(
     write_atomically(out / "overlay.png", encode_png(overlay))
     write_atomically(out / "episode.json", json.dumps(record, indent=1))
     _print_stages(console, record)
-    console.print(f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}", highlight=False)
+    _say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
     _print_json(as_json, record)
     raise typer.Exit(0 if decision.error is None else 1)
 
@@ -195,10 +201,11 @@ def evaluate_(
     from tog_drake.pipeline import SELECTORS
 
     console = _console(as_json)
-    chosen = selectors.split(",")
+    _check_folder(out)
+    chosen = _names(selectors)
     for selector in chosen:
         _valid(selector, SELECTORS, "selector")
-    records = evaluate(scenarios.split(","), chosen, range(seeds), workers=workers, console=console)
+    records = evaluate(_names(scenarios), chosen, range(seeds), workers=workers, console=console)
     lines = "".join(json.dumps(record) + "\n" for record in records)
     write_atomically(out / "episodes.jsonl", lines)
     rows = summarize(records)
@@ -235,13 +242,15 @@ def show(
     """Show a scenario in Meshcat: live on localhost until Ctrl-C, or as a static page."""
     from tog_drake.showing import serve_scene, write_scene
 
+    if out is not None:
+        _check_file(out)
     loaded = _load(scenario, scenario_text, None, None, None, seed)
     console = _console(as_json=False)
     if out is None:
         serve_scene(loaded, console)
     else:
         write_scene(loaded, out)
-        console.print(f"page: {out}", highlight=False)
+        _say(console, f"page: {out}")
 
 
 @app.command(epilog=_epilog("tog diagram Hammer --out hammer.svg"))
@@ -256,9 +265,10 @@ def diagram(
     from tog_drake.episode import build_world
     from tog_drake.files import write_atomically
 
+    _check_file(out)
     loaded = _load(scenario, scenario_text, selector, None, None, None)
     write_atomically(out, svg(build_world(loaded)))
-    _console(as_json=False).print(f"picture: {out}", highlight=False)
+    _say(_console(as_json=False), f"picture: {out}")
 
 
 @app.command(epilog=_epilog("tog doctor"))
@@ -270,13 +280,13 @@ def doctor(as_json: JsonOption = False) -> None:
     checks = run_checks()
     for check in checks:
         mark = "ok     " if check.ok else ("PROBLEM" if check.required else "missing")
-        console.print(f"{mark}  {check.name}: {check.found}", markup=False, highlight=False)
+        _say(console, f"{mark}  {check.name}: {check.found}")
     _print_json(as_json, {check.name: vars(check) for check in checks})
     raise typer.Exit(0 if all(check.ok for check in checks if check.required) else 1)
 
 
 def main() -> None:
-    """Runs the command: errors become one line and exit status 2, Ctrl-C status 130."""
+    """Runs the command: wrong input ends in one line and exit status 2, Ctrl-C in status 130."""
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     # A filter, because Drake sets the level of its logger itself when it is imported.
@@ -288,11 +298,26 @@ def main() -> None:
     except _Interrupted:
         sys.stderr.write("interrupted\n")
         sys.exit(130)
-    except (TogError, OSError) as error:
-        if debug:
-            traceback.print_exc()
-        sys.stderr.write(f"tog: {' '.join(str(error).split())}\n")
-        sys.exit(2)
+    except SystemExit as error:
+        if isinstance(error.code, str):  # so ends Drake where a condition of it does not hold
+            _fail(error, 2, debug)
+        raise
+    except (TogError, OSError, RuntimeError) as error:
+        # With a RuntimeError Drake refuses what a scenario says, such as a joint that is not there.
+        _fail(error, 2, debug)
+    except Exception as error:
+        _fail(error, 3, debug)
+
+
+def _fail(error: BaseException, status: int, debug: bool) -> NoReturn:
+    """Says in one line what is wrong, and ends. Status 3: a defect of the program."""
+    if debug:
+        traceback.print_exc()
+    message = " ".join(str(error).split())
+    if status == 3:
+        message = f"internal error, {type(error).__name__}: {message} (--debug shows where)"
+    sys.stderr.write(f"tog: {message}\n")
+    sys.exit(status)
 
 
 class _Interrupted(BaseException):
@@ -303,9 +328,34 @@ def _interrupt(signum: int, frame: object) -> None:
     raise _Interrupted
 
 
+def _check_folder(folder: Path) -> None:
+    """Refuses a folder that nothing can be written to, before the work instead of after it."""
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError(f"--out {folder}: {existing} is a file; name a folder")
+    if not os.access(existing, os.W_OK):
+        raise InputError(f"--out {folder}: {existing} may not be written to; name another folder")
+
+
+def _check_file(file: Path) -> None:
+    """The same for a file."""
+    if file.is_dir():
+        raise InputError(f"--out {file} is a folder; name a file in it")
+    _check_folder(file.parent)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
 def _console(as_json: bool) -> Console:
     """Where people read: stdout, or stderr when stdout is for one JSON object."""
     return Console(stderr=as_json)
+
+
+def _say(console: Console, text: str) -> None:
+    """Prints one line as it is: a path or a command broken in two could not be copied."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def _print_json(as_json: bool, content: Any) -> None:
@@ -394,17 +444,16 @@ def _print_stages(console: Console, record: "EpisodeRecord") -> None:
     console.print(table)
     choice = record["choice"]
     if choice is not None:
-        console.print(f"choice: {choice['part'] or '-'}. {choice['reason']}", markup=False)
+        _say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
         if choice["status"] != "ok":
-            console.print(f"status: {choice['status']}", markup=False)
+            _say(console, f"status: {choice['status']}")
     held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
-    console.print(
+    _say(
+        console,
         f"outcome: {record['outcome']}"
         + (f"; held by {held}" if held else "")
         + (f"; task compliance: {record['task_compliance']}" if held else "")
         + (f" ({record['message']})" if record["message"] else ""),
-        markup=False,
-        highlight=False,
     )
 
 

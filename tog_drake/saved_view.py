@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tog_drake.errors import InputError
 from tog_drake.values import Array, Intrinsics, View
 
+_INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
 MAX_PIXELS = 50_000_000
 MAX_FILE_BYTES = 500_000_000
 MAX_JSON_BYTES = 1_000_000
@@ -61,13 +62,7 @@ def load_intrinsics(path: Path) -> Intrinsics:
     inner = content.get("intrinsics")
     if isinstance(inner, dict):
         content = {**content, **inner}
-    numbers = {}
-    for key in ("width", "height", "fx", "fy", "cx", "cy"):
-        value = content.get(key)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value):
-            raise InputError(f"{path}: {key} must be a number of pixels, not {value!r}")
-        numbers[key] = value
+    numbers = {key: _pixels(path, content, key) for key in _INTRINSICS}
     width, height = int(numbers["width"]), int(numbers["height"])
     if width <= 0 or height <= 0 or width != numbers["width"] or height != numbers["height"]:
         raise InputError(f"{path}: width and height must be whole numbers above 0")
@@ -80,7 +75,17 @@ def load_intrinsics(path: Path) -> Intrinsics:
     for key, size in (("cx", width), ("cy", height)):
         if not 0 <= numbers[key] <= size:
             raise InputError(f"{path}: {key} = {numbers[key]:g} lies outside the image (0..{size})")
-    return Intrinsics(width, height, *(float(numbers[k]) for k in ("fx", "fy", "cx", "cy")))
+    return Intrinsics(width, height, *(numbers[key] for key in ("fx", "fy", "cx", "cy")))
+
+
+def _pixels(path: Path, content: dict[str, Any], key: str) -> float:
+    value = content.get(key)
+    try:
+        if not isinstance(value, bool) and math.isfinite(number := float(value)):  # type: ignore[arg-type]
+            return number
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise InputError(f"{path}: {key} must be a number of pixels, not {value!r:.40}")
 
 
 def load_pose(path: Path) -> Array:

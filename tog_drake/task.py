@@ -6,11 +6,31 @@ English by small word lists and the order of words; what it does not know it lea
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from typing import Literal
 
 from tog_drake.errors import InputError
+from tog_drake.task_words import (
+    COLOUR_WORDS,
+    DETERMINERS,
+    HANDOVER_VERBS,
+    HOLD_VERBS,
+    JOINING,
+    NEGATING_PAIRS,
+    NEGATORS,
+    NOUN_OR_VERB,
+    OFFERED,
+    OPENERS,
+    PART_WORDS,
+    PERSON,
+    PREPOSITIONS,
+    RECIPIENTS,
+    STOP,
+    USE_VERBS,
+    VAGUE_PARTS,
+    VERBS,
+)
 
 Intent = Literal["use", "handover", "hold"]
 
@@ -30,115 +50,6 @@ class TaskReading:
     avoid: tuple[str, ...]  # parts not to hold, likewise
     colour: str | None  # of the object to grasp, as in COLOUR_WORDS
     objects: tuple[str, ...]  # nouns, the one most likely to be grasped first
-
-
-def _table(**rows: str) -> dict[str, str]:
-    """Turns ``name="synonym synonym"`` into {synonym: name, name: name}."""
-    return {word: name for name, words in rows.items() for word in [name, *words.split()]}
-
-
-PART_WORDS = _table(
-    handle="grip handgrip haft hilt loop",
-    head="face",
-    blade="",
-    shaft="rod shank stem",
-    tip="point",
-    bowl="",
-    bristles="bristle",
-    body="barrel belly torso",
-    rim="lip brim edge",
-    cap="lid cork stopper",
-    spout="nozzle",
-    tail="",
-    leg="foot feet paw",
-    claw="",
-    neck="",
-    base="bottom battery",
-    chuck="",
-    trigger="",
-    horn="",
-    top="",
-    middle="centre center",
-)
-"""Words for parts and the one name that stands for each group."""
-
-COLOUR_WORDS = _table(
-    red="crimson maroon scarlet",
-    orange="",
-    yellow="golden gold",
-    green="lime olive",
-    cyan="turquoise teal",
-    blue="navy",
-    purple="violet",
-    pink="magenta",
-    brown="tan beige wooden",
-    black="",
-    white="",
-    grey="gray silver",
-)
-"""Words for colours and the one name that stands for each group."""
-
-
-def _set(words: str) -> frozenset[str]:
-    return frozenset(words.split())
-
-
-# Verbs that ask to use the object as it is meant to be used, by the tool that each implies.
-_USE_VERBS = {
-    verb: tool
-    for tool, verbs in {
-        "hammer": "hammer nail pound",
-        "brush": "brush scrub sweep paint",
-        "screwdriver": "screw unscrew tighten loosen",
-        "knife": "cut slice chop carve",
-        "spoon": "stir scoop",
-        "spatula": "flip",
-        "mug": "drink sip",
-        "drill": "drill",
-        "saw": "saw",
-        "whisk": "whisk",
-        "": "use using drive hit strike knock beat pry pour fill eat serve spread fry cook write "
-        "draw dig squeeze spray shake clean wash wipe mix peel operate play bake",
-    }.items()
-    for verb in verbs.split()
-}
-# Verbs above that are as often nouns: verbs only where a sentence can have one.
-_NOUN_OR_VERB = _set("hammer nail brush paint screw drill saw whisk drink cut scoop spray play use")
-_HANDOVER_VERBS = _set("give pass bring deliver offer handover fetch lend present")
-_HOLD_VERBS = _set(
-    "hold grab grasp grip take pick lift get carry move raise clutch seize pinch touch keep put "
-    "place clear remove"
-)
-_MISHAPS = _set("drop spill break damage hurt scratch crush bend")
-_RECIPIENTS = _set("me us him her them")
-_PERSON = _set("i we he she they")
-_DETERMINERS = _set("the a an my your his her its their our this that these those some")
-_OPENERS = _set("please to and then now you robot just only gently carefully quickly lets kindly")
-_PREPOSITIONS = _set(
-    "by at around near along via on in into onto to from against under over off with of for "
-    "towards toward behind beside next between inside through without"
-)
-_NEGATORS = _set(
-    "not dont never avoid avoiding without except excluding neither nor cannot cant shouldnt "
-    "mustnt doesnt no"
-)
-_NEGATING_PAIRS = {
-    ("away", "from"), ("instead", "of"), ("rather", "than"), ("other", "than"), ("anywhere", "but"),
-    ("anything", "but"), ("clear", "of"), ("keep", "off"), ("stay", "off"), ("hands", "off"),
-}  # fmt: skip
-_JOINING = _set("or nor and by at")
-# "the knife, handle first": the part is for the person, so the robot must leave it free.
-_OFFERED = _set("first facing towards toward pointing forward free clear accessible")
-_VERBS = (_USE_VERBS.keys() - _NOUN_OR_VERB) | {"use", "open"} | _HANDOVER_VERBS | _HOLD_VERBS
-_VERBS |= _MISHAPS
-_STOP = (
-    _VERBS | _RECIPIENTS | _PERSON | _DETERMINERS | _OPENERS | _PREPOSITIONS | _NEGATORS | _OFFERED
-) | _set(
-    "it one ones is are was be been being can could will would should shall may might must do does "
-    "did have has had need want like so which who where when while if but or rather instead than "
-    "other anywhere anything all up down out away back here there very way time thing object item "
-    "care end side part direction hand as ready let make made sure try used both any each s t"
-)
 
 
 def read_task(text: str) -> TaskReading:
@@ -174,13 +85,13 @@ def _words(text: str) -> list[str]:
 
 
 def _singular(word: str) -> str:
-    if word in PART_WORDS or word in _STOP or len(word) < 4 or word.endswith(("ss", "scissors")):
+    if word in PART_WORDS or word in STOP or len(word) < 4 or word.endswith(("ss", "scissors")):
         return word
     stem = word[:-1] if word.endswith("s") else word
-    if stem.endswith("ing") and stem not in _STOP:  # cutting, pouring, driving
+    if stem.endswith("ing") and stem not in STOP:  # cutting, pouring, driving
         base = stem[:-3]
         for verb in (base, base + "e", base[:-1]):
-            if verb in _USE_VERBS or verb in _HOLD_VERBS:
+            if verb in USE_VERBS or verb in HOLD_VERBS:
                 return verb
     return stem
 
@@ -192,29 +103,29 @@ def _at(words: list[str], i: int) -> str:
 def _is_use_verb(words: list[str], i: int) -> bool:
     """Whether word i asks the robot to use something; nouns and the person's own doing do not."""
     word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
-    if word not in _USE_VERBS or before in _DETERMINERS or before in COLOUR_WORDS:
+    if word not in USE_VERBS or before in DETERMINERS or before in COLOUR_WORDS:
         return False
-    if word in _NOUN_OR_VERB:
-        opens = before in _OPENERS or before in {"", "for"}
-        takes = after in _DETERMINERS | _PREPOSITIONS | {"it", "one", "something"}
+    if word in NOUN_OR_VERB:
+        opens = before in OPENERS or before in {"", "for"}
+        takes = after in DETERMINERS | PREPOSITIONS | {"it", "one", "something"}
         if not (opens and (takes or word == "use" or before == "for")):
             return False
     lead = words[max(0, i - 4) : i]
-    for_person = _PERSON & set(lead) or ("for" in lead and _RECIPIENTS & set(lead))
+    for_person = PERSON & set(lead) or ("for" in lead and RECIPIENTS & set(lead))
     return not for_person or "you" in lead or "robot" in lead
 
 
 def _is_handover(words: list[str], i: int) -> bool:
     word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
     if word in {"hand", "hands"}:
-        mine = _at(words, i - 2) in {"in", "into", "to"} and before in _DETERMINERS
-        verb = after in _RECIPIENTS | _DETERMINERS | {"over", "it"}
-        return mine or (verb and before not in _DETERMINERS | {"left", "right", "one"})
-    if after in _RECIPIENTS and word in {"get", "grab", "find", "pick", "take", "show"}:
+        mine = _at(words, i - 2) in {"in", "into", "to"} and before in DETERMINERS
+        verb = after in RECIPIENTS | DETERMINERS | {"over", "it"}
+        return mine or (verb and before not in DETERMINERS | {"left", "right", "one"})
+    if after in RECIPIENTS and word in {"get", "grab", "find", "pick", "take", "show"}:
         return _at(words, i + 2) not in {"by", "to", ""}  # "get me the mug", not "take me to"
     if word == "have" and before in {"i", "me"}:
         return True  # "can I have the mug", "let me have it"
-    return word in _HANDOVER_VERBS and before not in _DETERMINERS
+    return word in HANDOVER_VERBS and before not in DETERMINERS
 
 
 def _intent(words: list[str], use_verbs: list[int]) -> Intent | None:
@@ -226,7 +137,7 @@ def _intent(words: list[str], use_verbs: list[int]) -> Intent | None:
             return "handover"
         if word == "for" and _at(words, i + 1) == "use":
             return "use"
-    return "hold" if _HOLD_VERBS & set(words) else None
+    return "hold" if HOLD_VERBS & set(words) else None
 
 
 def _parts(words: list[str], use_verbs: list[int]) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -246,7 +157,7 @@ def _parts(words: list[str], use_verbs: list[int]) -> tuple[tuple[str, ...], tup
 def _governor(words: list[str], i: int) -> int:
     """Index of the verb or preposition before the noun phrase that word i ends; −1 for none."""
     j = i - 1
-    while j >= 0 and (words[j] in _DETERMINERS or words[j] not in _STOP or words[j] == "only"):
+    while j >= 0 and (words[j] in DETERMINERS or words[j] not in STOP or words[j] == "only"):
         j -= 1
     return j
 
@@ -254,25 +165,25 @@ def _governor(words: list[str], i: int) -> int:
 def _is_object_or_verb(words: list[str], i: int) -> bool:
     """Whether a part word means something else: "handle it with care", "a bowl", "on top of"."""
     word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
-    first = before in _OPENERS or before == ""
+    first = before in OPENERS or before == ""
     if word in {"handle", "head", "grip", "face", "point", "top"} and first:
-        return after in _DETERMINERS | {"it", "to", "with", "at"}
-    if word in {"top", "point", "face", "edge", "middle", "centre", "center", "bottom", "base"}:
-        return _at(words, _governor(words, i)) not in {"by", "at", "from"} | _HOLD_VERBS
+        return after in DETERMINERS | {"it", "to", "with", "at"}
+    if word in VAGUE_PARTS:
+        return _at(words, _governor(words, i)) not in {"by", "at", "from"} | HOLD_VERBS
     if word == "bowl":  # of a spoon only where it is said so
         said = _at(words, _governor(words, i)) == "by" or _at(words, i + 1) == "of"
-        return not (said or (before not in _STOP | set(COLOUR_WORDS) and before != ""))
+        return not (said or (before not in STOP | set(COLOUR_WORDS) and before != ""))
     return False
 
 
 def _is_avoided(words: list[str], i: int) -> bool:
     after = _at(words, i + 1)
-    if after in {"is", "facing", "pointing", "end", "side"}:
-        after = _at(words, i + 2) if after in {"is", "end", "side"} else after
-    if after in _OFFERED and not _points_away(words, i):
+    if after in {"is", "end", "side"}:
+        after = _at(words, i + 2)
+    if after in OFFERED and not _points_away(words, i):
         return True
     lead = words[max(0, i - 8) : i]
-    if "so" in lead and _PERSON & set(lead[lead.index("so") :]) and "you" not in lead:
+    if "so" in lead and PERSON & set(lead[lead.index("so") :]) and "you" not in lead:
         return True  # "... so that I can take the handle"
     return _is_negated(words, i)
 
@@ -288,13 +199,13 @@ def _is_negated(words: list[str], i: int) -> bool:
     verbs = 0
     j = i - 1
     while j >= max(0, i - 8):
-        if words[j] in _NEGATORS or (_at(words, j - 1), words[j]) in _NEGATING_PAIRS:
+        if words[j] in NEGATORS or (_at(words, j - 1), words[j]) in NEGATING_PAIRS:
             return words[j + 1] != "only"
         if words[j] in PART_WORDS:
             between = set(words[j + 1 : i])
-            joined = between & {"or", "nor", "and"} and between <= _JOINING | _DETERMINERS
+            joined = between & {"or", "nor", "and"} and between <= JOINING | DETERMINERS
             return bool(joined) and _is_negated(words, j)
-        verbs += words[j] in _VERBS
+        verbs += words[j] in VERBS
         if verbs > 1 or words[j] == "but":
             return False
         j -= 1
@@ -316,7 +227,7 @@ def _noun_phrases(words: list[str], use_verbs: list[int]) -> Iterator[tuple[int,
     """Runs of words between stop words, as (begin, end)."""
     begin = 0
     for i in range(len(words) + 1):
-        if i == len(words) or words[i] in _STOP or i in use_verbs:
+        if i == len(words) or words[i] in STOP or i in use_verbs:
             if i > begin:
                 yield begin, i
             begin = i + 1
@@ -341,12 +252,12 @@ def _objects(
         if (noun := _noun(words, (begin, end)))
     ]
     if intent == "use":
-        marks: list[frozenset[str]] = [_set("use"), _set("with"), _set("from"), _HOLD_VERBS]
+        marks: list[Set[str]] = [{"use"}, {"with"}, {"from"}, HOLD_VERBS]
     else:
-        marks = [_HANDOVER_VERBS | _RECIPIENTS | _HOLD_VERBS]
+        marks = [HANDOVER_VERBS | RECIPIENTS | HOLD_VERBS]
     first = [noun for mark in marks for governor, noun in nouns if governor in mark][:1]
     if intent == "use" and not first:
-        first = [tool for i in use_verbs if (tool := _USE_VERBS[words[i]])][:1]
+        first = [tool for i in use_verbs if (tool := USE_VERBS[words[i]])][:1]
     return tuple(dict.fromkeys(first + [noun for _, noun in nouns]))
 
 

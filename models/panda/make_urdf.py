@@ -9,8 +9,10 @@ A link is a few *tubes* (a polyline with a radius) and boxes. From that one desc
 Sources: the frames, limits and hand dimensions of ``tog_drake.panda``; torque limits from Franka
 Robotics' "Robot and interface specifications"; reflected rotor inertias as published by Franka
 for the FR3 (0.6057, 0.4625, 0.2055 kg m² over a gear ratio of 100); link masses as in the public
-franka_description (they add up to the data sheet's 18 kg). The shapes are measured from nothing:
-they were drawn by hand after the data sheet's outline.
+franka_description (they add up to the data sheet's 18 kg). The shapes were not measured: they were
+drawn by hand after the data sheet's outline and then compared with the collision spheres of
+Drake's franka_description (centres and radii read as facts, no file taken), after which
+panda_link5 was redrawn, its line and its thickness.
 """
 
 import sys

@@ -1,9 +1,9 @@
 """Grasps by geometry alone: two fingers on opposite sides of what the camera saw.
 
-At points spread over the cloud (*anchors*) the hand is tried in many orientations. For each, the
-slab of points that the fingers would sweep is reduced to a *profile*: how far along the approach
-the first surface lies, for every 4 mm of the closing direction. On the profile one walks from the
-anchor outwards until there is room for a finger; that gives the width, and re-centres the hand.
+At *anchors* spread over the cloud the hand is tried in many orientations. For each, the slab of
+points that the fingers would sweep is reduced to a profile, on which one walks from the anchor
+outwards until there is room for the fingers. That gives width and centre; the points in between
+give the score.
 """
 
 from dataclasses import dataclass, field
@@ -11,35 +11,35 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.perception import PointCloud
-from scipy.spatial import cKDTree
 
 from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
-from tog_drake.panda import (
-    FINGER_THICKNESS,
-    FINGERTIP_Z,
-    MAX_OPENING,
-    PAD_WIDTH,
-    PALM_Z,
+from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, MAX_OPENING, PAD_WIDTH, PALM_Z
+from tog_drake.points import Rows
+from tog_drake.proposers.hypotheses import (
+    Surface,
+    Tries,
+    hand_tries,
+    spread_anchors,
+    thinned_surface,
 )
-from tog_drake.points import Rows, clusters, group_means, neighbors, voxel_numbers
+from tog_drake.proposers.profile import REACH, profiles, walk_outwards
 from tog_drake.values import Array, Grasps, Workspace
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass
 class Antipodal:
-    """How densely to search and what counts as a good grasp."""
+    """How densely to search, and what a grasp must keep clear of."""
 
     voxel: float = 0.004  # [m] resolution at which the cloud is searched
-    anchor_spacing: float = 0.012  # [m] between anchors
-    max_anchors: int = 160  # spread over the cloud when there would be more, as in clutter
+    anchor_spacing: float = 0.010  # [m] between anchors, where they are not too many
+    anchors: int = 80  # at most, on a single thing; spread over it
+    max_anchors: int = 160  # at most, on many things
     yaws: int = 8  # closing directions over half a turn, the first across the local shape
     tilts_deg: list[float] = field(default_factory=lambda: [20.0, 40.0, 60.0])  # besides vertical
     depths: list[float] = field(default_factory=lambda: [0.012, 0.022, 0.032, 0.042])
     """[m] of the fingertips below the anchor, along the approach; the table may allow less."""
     min_depth: float = 0.005  # [m] of the fingertips below the top of what is gripped
-    bin: float = 0.004  # [m] of the profile along the closing direction
+    bin: float = 0.004  # [m] of the profiles along the closing direction
     max_gap: float = 0.012  # [m] an empty stretch up to this does not end an object
     max_width: float = 0.072  # [m] between the contacts; the hand opens to 0.08
     opening_margin: float = 0.040  # [m] the hand arrives open this much wider, if it can
@@ -49,10 +49,17 @@ class Antipodal:
     max_grasps: int = 300  # returned
 
 
+POINTS_PER_ANCHOR = 15  # of the searched cloud; a single thing has about 1000 points
+SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of what a finger may touch, along x
+HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
+EDGE = 0.005  # [m] a finger touches what is this close to the end of the stretch
+UNSEEN = 0.75  # cosine for a side that was not seen but whose outline runs along the pad
+
+
 class AntipodalProposer:
     """Proposes antipodal grasps on a single-view cloud (a ``Proposer``).
 
-    The hand is symmetric under a half turn about its approach; only one of each such pair of
+    The hand is symmetric under a half turn about its approach: only one of each such pair of
     grasps is returned. What the camera did not see is neither trusted nor avoided.
 
     Args:
@@ -69,18 +76,22 @@ class AntipodalProposer:
         if cloud.size() == 0:
             return Grasps.empty()
         config = self._config
-        surface = _surface(cloud, config.voxel)
-        anchor = _anchors(surface, config, np.random.default_rng(self._seed))
-        tries = _tries(surface, anchor, config)
+        surface = thinned_surface(cloud, config.voxel)
+        count = int(
+            np.clip(len(surface.point) // POINTS_PER_ANCHOR, config.anchors, config.max_anchors)
+        )
+        rng = np.random.default_rng(self._seed)
+        anchor = spread_anchors(surface, config.anchor_spacing, count, rng)
+        tries = hand_tries(surface, anchor, config.yaws, np.radians(config.tilts_deg))
         sweep = _sweep(surface, tries, max(config.depths) + config.clearance)
-        grips = _walk(surface, tries, sweep, config, self._table)
-        found = _measure(surface, tries, sweep, grips, config)
+        grips = _grips(surface, tries, sweep, config, self._table)
+        found = _measure(surface, tries, sweep, grips, config.max_width)
         return _best_free(found, surface, config, self._table)
 
 
 @dataclass(frozen=True)
 class _Sweep:
-    """E pairs of a try and a point in its slab: |x| < half a pad, in G's axes at the anchor."""
+    """E pairs of a try and a point in its slab |x| < SLAB, in G's axes about the anchor."""
 
     attempt: Rows  # (E,) ascending
     row: Rows  # (E,) of the surface
@@ -89,14 +100,25 @@ class _Sweep:
     z: Array  # (E,) [m]
 
 
-REACH = 0.10  # [m] half the span of the profile: half a palm
-HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
-UNSEEN = 0.75  # cosine that a side gets which was not seen, when its outline is right
-SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of the slab: what a finger may touch
+@dataclass(frozen=True)
+class _Grips:
+    """K combinations of a try and a depth at which the fingers have room."""
+
+    attempt: Rows  # (K,)
+    tip: Array  # (K,) [m] of the fingertips beyond the anchor, along z
+    low: Array  # (K,) [m] end of the gripped stretch along y, to within a bin
+    high: Array  # (K,) [m] the other end
+
+
+@dataclass(frozen=True)
+class _Found(Grasps):
+    """Grasps, before the hand is checked against its surroundings."""
+
+    anchor: Rows = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) rows of the surface
 
 
 def _sweep(surface: Surface, tries: Tries, deepest: float) -> _Sweep:
-    """All points that the hands of ``tries`` could touch when their tips go ``deepest`` [m]."""
+    """All points that the hands could touch with their tips ``deepest`` [m] beyond the anchor."""
     sweeps = []
     for start in range(0, len(tries.anchor), tries.per_anchor):
         R_GW = tries.R_WG[start : start + tries.per_anchor].transpose(2, 0, 1)  # rows by axis
@@ -111,105 +133,45 @@ def _sweep(surface: Surface, tries: Tries, deepest: float) -> _Sweep:
     return _Sweep(attempt, row, x, y, z)
 
 
-@dataclass(frozen=True)
-class _Grips:
-    """K combinations of a try and a depth at which the fingers have room."""
-
-    attempt: Rows  # (K,)
-    tip: Array  # (K,) [m] of the fingertips beyond the anchor, along z
-    low: Array  # (K,) [m] end of the gripped stretch along y, to within a bin
-    high: Array  # (K,) [m] the other end
-
-
-def _walk(
+def _grips(
     surface: Surface, tries: Tries, sweep: _Sweep, config: Antipodal, table: float
 ) -> _Grips:
-    """Walks over the profiles from the anchors outwards, at each depth."""
-    profile = _profiles(len(tries.anchor), sweep, config.bin)
+    """At each depth, the tries whose fingers have room on both sides of something narrow."""
+    profile = profiles(sweep.attempt, sweep.y, sweep.z, len(tries.anchor), config.bin)
+    first_of_all = profile.min(axis=1)
     lowest = _lowest_tip(surface, tries, table + config.table_clearance)
-    found = []
-    tip_before = np.full(len(lowest), -np.inf)
+    before = np.full(len(lowest), -np.inf)
+    grips = []
     for depth in config.depths:
         tip = np.minimum(depth, lowest)
-        attempt = np.flatnonzero((tip > 0.001) & (tip > tip_before + 0.002))
-        tip_before = tip
-        low, high, fits = _walk_outwards(profile[attempt], tip[attempt], config)
-        found.append(
-            _Grips(attempt[fits], tip[attempt][fits], low[fits], high[fits]),
+        attempt = np.flatnonzero((tip > 0.001) & (tip > before + 0.002))
+        before, tip = tip, tip[attempt]
+        stretch = walk_outwards(
+            profile[attempt],
+            tip,
+            width=config.bin,
+            max_gap=config.max_gap,
+            clearance=config.clearance,
         )
-    return _Grips(
-        *(np.concatenate([getattr(g, name) for g in found]) for name in _Grips.__annotations__)
-    )
-
-
-def _profiles(count: int, sweep: _Sweep, bin_size: float) -> Array:
-    """For each try, z [m] of the first surface along the approach in each bin of y; inf if none.
-
-    The middle bin is centred on the anchor. Returns (H, B).
-    """
-    half = int(REACH / bin_size)
-    column = np.rint(sweep.y / bin_size).astype(np.int64) + half
-    inside = (column >= 0) & (column <= 2 * half)
-    profile = np.full(count * (2 * half + 1), np.inf, dtype=sweep.z.dtype)  # else `at` is slow
-    cell = sweep.attempt[inside] * (2 * half + 1) + column[inside]
-    np.minimum.at(profile, cell, sweep.z[inside])
-    return profile.reshape(count, -1)
+        width = stretch.high - stretch.low  # up to a bin too much
+        opening = np.minimum(width + config.opening_margin, MAX_OPENING)
+        fits = stretch.found & (width <= config.max_width + config.bin)
+        fits &= stretch.room + config.bin >= (opening - width) / 2 + FINGER_THICKNESS
+        fits &= tip - stretch.top >= config.min_depth
+        fits &= tip - first_of_all[attempt] < FINGERTIP_Z - PALM_Z - config.clearance
+        grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits]))
+    return _Grips(*(np.concatenate(column) for column in zip(*grips, strict=True)))
 
 
 def _lowest_tip(surface: Surface, tries: Tries, floor: float) -> Array:
     """How far beyond the anchor along z (H,) [m] the tips of the open hand stay above ``floor``."""
     x_z, y_z, z_z = np.moveaxis(tries.R_WG[:, 2, :], -1, 0)
-    side = np.abs(x_z) * 0.011 + np.abs(y_z) * (MAX_OPENING / 2 + FINGER_THICKNESS)
+    side = np.abs(x_z) * SLAB + np.abs(y_z) * (MAX_OPENING / 2 + FINGER_THICKNESS)
     return np.asarray((surface.point[tries.anchor, 2] - side - floor) / -z_z)
 
 
-def _walk_outwards(profile: Array, tip: Array, config: Antipodal) -> tuple[Array, Array, Mask]:
-    """Where what is around the anchor ends on both sides, and whether the fingers have room there.
-
-    Args:
-        profile: (H, B) [m].
-        tip: (H,) [m] of the fingertips; what lies deeper is not in the way.
-
-    Returns:
-        Low and high end along y (H,) [m]; whether a grasp is possible (H,).
-    """
-    middle = profile.shape[1] // 2
-    occupied = profile < tip[:, None]
-    blocked = profile < tip[:, None] + config.clearance
-    right, room_right = _end(occupied[:, middle:], blocked[:, middle:], config)
-    left, room_left = _end(occupied[:, middle::-1], blocked[:, middle::-1], config)
-    width = (left + right + 1) * config.bin  # up to a bin too much
-    column = np.arange(profile.shape[1]) - middle
-    gripped = (column >= -left[:, None]) & (column <= right[:, None])
-    top = np.min(np.where(gripped, profile, np.inf), axis=1)
-    needed = (np.minimum(width + config.opening_margin, MAX_OPENING) - width) / 2 + FINGER_THICKNESS
-    fits = (width <= config.max_width + config.bin) & occupied[:, middle]
-    fits &= np.minimum(room_left, room_right) + config.bin >= needed
-    fits &= tip - top >= config.min_depth
-    fits &= profile.min(axis=1) > tip - (FINGERTIP_Z - PALM_Z) + config.clearance
-    return -(left + 0.5) * config.bin, (right + 0.5) * config.bin, fits
-
-
-def _end(occupied: Mask, blocked: Mask, config: Antipodal) -> tuple[Rows, Array]:
-    """Where the stretch that starts in column 0 ends, (H,), and the room beyond it, (H,) [m]."""
-    gap = round(config.max_gap / config.bin) + 1
-    columns = occupied.shape[1]
-    count = np.cumsum(np.pad(occupied, ((0, 0), (1, gap))), axis=1, dtype=np.int32)
-    last = occupied & (count[:, gap + 1 :][:, :columns] == count[:, 1 : columns + 1])
-    end = np.argmax(last, axis=1)
-    beyond = blocked & (np.arange(columns) > end[:, None])
-    next_blocked = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), columns + 100)
-    return end, (next_blocked - end - 1) * config.bin
-
-
-@dataclass(frozen=True)
-class _Found(Grasps):
-    anchor: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,) rows of the surface."""
-
-
 def _measure(
-    surface: Surface, tries: Tries, sweep: _Sweep, grips: _Grips, config: Antipodal
+    surface: Surface, tries: Tries, sweep: _Sweep, grips: _Grips, max_width: float
 ) -> _Found:
     """Exact width, centre, contact and score of each grip; those across two things are dropped."""
     count = len(grips.attempt)
@@ -231,26 +193,19 @@ def _measure(
     X_WG[:, :3, :3] = R_WG
     offset = np.stack([np.zeros(count), (high + low) / 2, grips.tip - FINGERTIP_Z], axis=-1)
     X_WG[:, :3, 3] = surface.point[anchor] + np.einsum("nij,nj->ni", R_WG, offset)
-    width = high - low
     centroid = surface.centroid[surface.thing[anchor]]
-    lever = np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1)
-    score = _score(facing_high, facing_low, grips.tip - top, -R_WG[:, 2, 2], covered, lever, width)
-    foreign = surface.thing[row] != surface.thing[anchor][grip]
-    single = (np.bincount(grip[foreign], minlength=count) == 0) & (width <= config.max_width)
-    found = _Found(X_WG, width, score, surface.point[contact], anchor)
-    return found.take(np.flatnonzero(single))
-
-
-def _score(facing_high, facing_low, depth, vertical, covered, lever, width):
-    facing = (facing_high + facing_low) / 2
-    return (
-        0.40 * facing
-        + 0.20 * np.minimum(depth / 0.025, 1)
-        + 0.12 * (1 - np.arccos(np.clip(vertical, -1, 1)) / (np.pi / 2))
-        + 0.10 * covered
-        + 0.12 * np.exp(-((lever / 0.08) ** 2))
-        + 0.06 * np.clip((0.072 - width) / 0.02, 0, 1)
+    score = _score(
+        facing=np.stack([facing_high, facing_low]),
+        depth=grips.tip - top,
+        tilt=np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)),
+        covered=covered,
+        lever=np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1),
+        spare=max_width - (high - low),
     )
+    foreign = surface.thing[row] != surface.thing[anchor][grip]
+    single = (np.bincount(grip[foreign], minlength=count) == 0) & (high - low <= max_width)
+    found = _Found(X_WG, high - low, score, surface.point[contact], anchor)
+    return found.take(np.flatnonzero(single))
 
 
 def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
@@ -267,8 +222,8 @@ def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
 def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple[Array, Array]:
     """How well the surface at the finger on the side of larger y faces it.
 
-    Where that surface was seen, its normals say so. Where it was not, only the outline is known:
-    it ought to run along the pad.
+    Where that surface was seen, its normals say so. Where it was not, only its outline is known,
+    which ought to run along the pad.
 
     Args:
         x, y: (E,) [m] the points between the fingers.
@@ -279,34 +234,60 @@ def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple
     Returns:
         (K,) cosine; (K,) the share of the pad's width along which there is something to hold.
     """
-    count = len(end)
-    at_end = y > end[grip] - 0.005
+    count, bins = len(end), 5
+    at_end = y > end[grip] - EDGE
     seen = at_end & (towards > 0.3)
     number = np.bincount(grip[seen], minlength=count)
     by_normals = np.bincount(grip[seen], towards[seen], minlength=count) / np.maximum(number, 1)
     enough = number >= 0.25 * np.bincount(grip[at_end], minlength=count)
 
-    bins = 5  # along the pad
     column = np.clip((x / SLAB + 1) / 2 * bins, 0, bins - 1).astype(np.int64)
     outline = np.full(count * bins, -np.inf, dtype=y.dtype)
     np.maximum.at(outline, grip * bins + column, y)
-    outline = outline.reshape(count, bins)
-    held = np.isfinite(outline)
-    weight = held / held.sum(axis=1, keepdims=True)
-    place = np.arange(bins) * (2 * SLAB / bins)
-    place = place - (weight * place).sum(axis=1, keepdims=True)
-    level = np.where(held, outline, 0)
-    level -= (weight * level).sum(axis=1, keepdims=True)
-    spread = (weight * place**2).sum(axis=1)
-    slope = (weight * place * level).sum(axis=1) / np.maximum(spread, 1e-9)
+    held = np.isfinite(outline).reshape(count, bins)
+    slope = _slope(np.where(held, outline.reshape(count, bins), 0), held)
     by_outline = UNSEEN / np.sqrt(1 + slope**2)
     return np.where(enough, by_normals, by_outline), held.mean(axis=1)
+
+
+def _slope(y: Array, valid: NDArray[np.bool_]) -> Array:
+    """The slope (K,) of the line through the valid ones of B points across the slab, (K, B)."""
+    weight = valid / valid.sum(axis=1, keepdims=True)
+    x = np.arange(y.shape[1]) * (2 * SLAB / y.shape[1])
+    x = x - (weight * x).sum(axis=1, keepdims=True)
+    spread = (weight * x**2).sum(axis=1)
+    return np.asarray((weight * x * y).sum(axis=1) / np.maximum(spread, 1e-9))
+
+
+def _score(
+    *, facing: Array, depth: Array, tilt: Array, covered: Array, lever: Array, spare: Array
+) -> Array:
+    """Confidence in [0, 1] (K,), from what told good grasps from bad ones in simulated lifts.
+
+    Args:
+        facing: (2, K) cosine of the surface at each finger.
+        depth: (K,) [m] of the fingertips below the top of what is gripped.
+        tilt: (K,) [rad] of the approach from the vertical.
+        covered: (K,) share of the pad that holds something.
+        lever: (K,) [m] horizontally from the middle of what is seen of the thing.
+        spare: (K,) [m] by which it could be wider.
+    """
+    return np.asarray(
+        0.35 * np.clip((facing - 0.4) / 0.55, 0, 1).mean(axis=0)
+        + 0.20 * np.minimum(depth / 0.025, 1)
+        + 0.12 * (1 - tilt / (np.pi / 2))
+        + 0.10 * covered
+        + 0.17 * np.exp(-((lever / 0.08) ** 2))
+        + 0.06 * np.clip(spare / 0.02, 0, 1)
+    )
 
 
 def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Grasps:
     """Of the best grasps of each anchor those at which the open hand is free, best first."""
     found = found.take(np.lexsort((-found.score, found.anchor)))
     found = found.take(np.flatnonzero(_rank(found.anchor) < config.per_anchor))
+    if len(found) == 0:
+        return Grasps.empty()
     groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.anchor)) + 1)
     free = np.concatenate([_is_free(found.take(g), surface, config, table) for g in groups])
     found = found.take(np.flatnonzero(free))
@@ -321,11 +302,11 @@ def _rank(group: Rows) -> Rows:
     return np.arange(len(group)) - np.searchsorted(group, group)
 
 
-def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Mask:
+def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> NDArray[np.bool_]:
     """Whether the open hand touches neither the table nor a point, for grasps at one anchor."""
     opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
     lower, upper = hand_boxes(opening)
     above = lowest_corner(found.X_WG, lower, upper) > table + config.table_clearance - 1e-6
     near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
     lower, upper = lower - config.clearance, upper + config.clearance
-    return above & (points_inside(found.X_WG, lower, upper, surface.point[near]) == 0)
+    return np.logical_and(above, points_inside(found.X_WG, lower, upper, surface.point[near]) == 0)

@@ -42,9 +42,7 @@ def thinned_surface(cloud: PointCloud, voxel: float) -> Surface:
     return Surface(point, normal, thing, group_means(thing, point), cKDTree(point))
 
 
-def spread_anchors(
-    surface: Surface, spacing: float, count: int, rng: np.random.Generator
-) -> Rows:
+def spread_anchors(surface: Surface, spacing: float, count: int, rng: np.random.Generator) -> Rows:
     """Returns the rows of at most ``count`` points to grasp at, about ``spacing`` [m] apart.
 
     Where there would be more, they are spread by farthest-point sampling, in which distances count

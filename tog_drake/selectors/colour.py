@@ -10,9 +10,9 @@ _HUES = {
     "red": (355.0, 25.0),
     "orange": (20.0, 24.0),
     "yellow": (50.0, 22.0),
-    "green": (120.0, 55.0),
+    "green": (120.0, 60.0),
     "cyan": (183.0, 25.0),
-    "blue": (222.0, 38.0),
+    "blue": (220.0, 45.0),
     "purple": (275.0, 30.0),
     "pink": (325.0, 30.0),
 }
@@ -42,19 +42,19 @@ def white_balanced(rgb: NDArray[np.uint8], image: NDArray[np.uint8]) -> NDArray[
 
 
 def rivals(name: str) -> list[str]:
-    """The names whose hues border on that of ``name``."""
+    """The names whose hues border on that of ``name``; many people call cyan blue or green."""
     if name not in _HUES:
         return []
     hue = _HUES[name][0]
     return [
         other
         for other, (centre, _) in _HUES.items()
-        if other != name and abs((centre - hue + 180.0) % 360.0 - 180.0) < 60.0
+        if other not in (name, "cyan") and abs((centre - hue + 180.0) % 360.0 - 180.0) < 60.0
     ]
 
 
 def fit(rgb: NDArray[np.uint8], name: str) -> Array:
-    """Returns how well a name of ``task.COLOUR_WORDS`` fits each colour: (N, 3) uint8 → (N,) 0..1.
+    """Returns how well a name of ``task_words.COLOUR_WORDS`` fits each colour (N, 3): (N,) 0..1.
 
     Neighbouring names overlap, so that compared with each other things can be told apart under
     any lamp: a salmon drill is the most orange thing where nothing else is.

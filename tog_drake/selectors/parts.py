@@ -78,6 +78,13 @@ HOLD_FOR_USE: dict[Kind, str] = {
     "animal": "body",
 }
 """Where a thing is held to be used."""
+_KIND_PHRASES: dict[Kind, str] = {
+    "tool": "a long tool",
+    "vessel": "a round vessel",
+    "bottle": "a bottle",
+    "drill": "a drill",
+    "animal": "an animal",
+}
 
 # Words for the end of a tool that does the work, and for the end that is held.
 _WORKING_WORDS = {"head", "blade", "bowl", "bristles", "body", "claw", "tip", "rim", "base"}
@@ -97,7 +104,7 @@ def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
     """Returns the rule of the first noun known, else that of the shape, and how it was told."""
     for noun in nouns:
         if noun in RULES:
-            return RULES[noun], f"a {noun} is a {RULES[noun].kind}"
+            return RULES[noun], f"read as {_KIND_PHRASES[RULES[noun].kind]}"
     spread = _Frame(points)
     if spread.upright:
         circle = _circle(points)
@@ -132,7 +139,7 @@ def likeness(points: Array, kind: Kind) -> float:
 
 
 def find_part(points: Array, part: str, rule: Rule) -> Region:
-    """Returns the region of ``part`` (a name of ``task.PART_WORDS``).
+    """Returns the region of ``part`` (a name of ``task_words.PART_WORDS``).
 
     Args:
         points: (N, 3) [m] of one object, in a frame with z up and the table at z = 0.
@@ -413,7 +420,8 @@ def _drill_part(points: Array, part: str, rule: Rule) -> Region:
         near = set(label[ndimage.binary_dilation(rest == i, _disc(2))]) & set(big)
         if len(near) >= 2:
             bridge |= rest == i
-    here = bridge[tuple(cell.T)]
+    # A disc does not fill the corners at the ends of the bridge: these are the bridge's too.
+    here = (ndimage.binary_dilation(bridge, _disc(2)) & picture)[tuple(cell.T)]
     if part == "handle":
         return Region(here, "the bridge between its two bulky portions is the handle")
     if part in {"body", "head", "chuck"}:

@@ -9,12 +9,13 @@ from tog_drake.errors import NoChoice
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
 from tog_drake.selectors.parts import RULES, Mask, likeness
 from tog_drake.selectors.segmentation import Labels, cut_out, is_heap, segment
-from tog_drake.task import COLOUR_WORDS, TaskReading
+from tog_drake.task import TaskReading
+from tog_drake.task_words import COLOUR_WORDS
 from tog_drake.values import Array
 
 MIN_FIT = 0.10  # of a colour name, averaged over a thing: less is another colour
-CLEAR = 0.6  # what fits less than this share as well as the best is another thing
-RIVAL = 0.45  # a neighbouring colour may fit better, up to 1 / RIVAL times
+CLEAR = 0.45  # what fits less than this share as well as the best is another thing
+RIVAL = 0.5  # a neighbouring colour may fit better, up to 1 / RIVAL times
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,12 @@ HEAD_X = 0.1155  # the head's axis, which runs along y
 
 
 def head_ring(y: float, width: float, chamfer: float) -> Array:
+    """A ring of the striking end, across the head's axis."""
     return ring(octagon(width, width, chamfer), "y", y, (HEAD_X, Z))
 
 
 def claw_cut(y: float, x: tuple[float, float], z: tuple[float, float]) -> Array:
-    """A cut across the claw: a rectangle (4, 3)."""
+    """A cut across the head's axis: a rectangle (4, 3)."""
     return np.array([[x[0], y, z[0]], [x[1], y, z[0]], [x[1], y, z[1]], [x[0], y, z[1]]])
 
 

@@ -11,14 +11,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import (
-    Box,
-    Cylinder,
-    Ellipsoid,
-    Sphere,
-    SurfaceTriangle,
-    TriangleSurfaceMesh,
-)
+from pydrake.geometry import Box, Cylinder, Ellipsoid, Sphere, SurfaceTriangle, TriangleSurfaceMesh
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import CalcSpatialInertia, SpatialInertia
 from scipy.spatial import ConvexHull
@@ -32,7 +25,7 @@ ORIGIN: Triple = (0.0, 0.0, 0.0)
 MICRON = 6  # decimals of a length in a file
 CREASE = np.radians(50.0)  # edges sharper than this stay sharp when a mesh is drawn
 
-# Hydroelastic contact as measured to work with the hand (see models/README.md).
+# The same contact for every piece (see models/README.md).
 PROXIMITY = """\
         <drake:proximity_properties>
           <drake:compliant_hydroelastic/>
@@ -170,10 +163,10 @@ def hull(*points: Array) -> TriangleMesh:
 
 def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     """Several meshes as one."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     return TriangleMesh(
         np.vstack([mesh.vertices for mesh in meshes]),
-        np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+        np.vstack([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
     )
 
 
@@ -271,6 +264,7 @@ def shape_xml(piece: Piece, convex: bool) -> str:
 
 
 def geometry_xml(piece: Piece, tag: Literal["visual", "collision"]) -> str:
+    """The <visual> or <collision> of a piece."""
     pose = "" if piece.xyz == piece.rpy == ORIGIN else f"{text(piece.xyz)} {text(piece.rpy)}"
     shape = shape_xml(piece, convex=tag == "collision")
     inside = f"        <pose>{pose}</pose>\n" if pose else ""
@@ -284,6 +278,7 @@ def geometry_xml(piece: Piece, tag: Literal["visual", "collision"]) -> str:
 
 
 def sdf_xml(thing: Thing) -> str:
+    """The SDF file of a thing: one link, ``base``."""
     about = "".join(f"  {line}\n" for line in thing.about.strip().splitlines())
     geometries = ""
     for piece in thing.pieces:

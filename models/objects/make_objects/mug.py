@@ -19,6 +19,7 @@ WIDER = 1.017
 
 
 def circle(radius: float, z: float) -> Array:
+    """A ring of the cup as it is seen."""
     return ring(ellipse(radius, radius, 48), "z", z)
 
 
@@ -46,6 +47,7 @@ CUP = loft(
 
 
 def wall(i: int) -> Piece:
+    """Segment ``i`` of the wall, for contact."""
     rings = [corners(r * WIDER, z) for r in (RADIUS, INNER) for z in (0.001, HEIGHT)]
     segment = hull(*(r[[i, (i + 1) % SEGMENTS]] for r in rings))
     return Piece(f"wall_{i:02d}", segment, drawn=False)
@@ -74,6 +76,7 @@ CUTS = (0, 6, 11, 16, 21, 26, 32)  # rings between the convex pieces of the hand
 
 
 def handle(i: int) -> Piece:
+    """Piece ``i`` of the handle, for contact, from the top."""
     return Piece(f"handle_{i}", hull(*RINGS[CUTS[i] : CUTS[i + 1] + 1]), drawn=False)
 
 

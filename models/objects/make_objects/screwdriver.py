@@ -17,6 +17,7 @@ CHAMFER = 0.22  # of the width; 0.29 would be a regular octagon
 
 
 def eight_sided(x: float, width: float) -> Array:
+    """A ring across the axis."""
     return bar(x, Z, width, width, width * CHAMFER)
 
 
@@ -38,6 +39,8 @@ HANDLE = loft(
         eight_sided(-0.002, 0.030),
     ]
 )
+COLLAR = loft([eight_sided(-0.002, 0.025), eight_sided(0.010, 0.015)])
+SHAFT = loft([eight_sided(0.010, 0.008), eight_sided(0.100, 0.008)])
 TIP = hull(
     bar(0.100, Z, 0.008, 0.008, 0.00234),
     bar(0.107, Z, 0.010, 0.004, 0.0005),
@@ -54,8 +57,8 @@ underside 13 mm above the table.
 """,
     [
         Piece("handle", HANDLE, ACETATE),
-        Piece("collar", loft([eight_sided(-0.002, 0.025), eight_sided(0.010, 0.015)]), DARK_ACETATE),
-        Piece("shaft", loft([eight_sided(0.010, 0.008), eight_sided(0.100, 0.008)]), STEEL),
+        Piece("collar", COLLAR, DARK_ACETATE),
+        Piece("shaft", SHAFT, STEEL),
         Piece("tip", TIP, STEEL),
         *(groove(i) for i in range(8) if i != 4),  # 4 lies on the table
     ],

@@ -20,10 +20,13 @@ SLOTS = (0.016, 0.068)  # where they begin and end, in u
 
 
 def at(u: float, y: float, v: float) -> Array:
-    return FRONT_EDGE + u * U + v * V + np.array([0.0, y, 0.0])
+    """A point (3,) on the blade."""
+    point: Array = FRONT_EDGE + u * U + v * V + np.array([0.0, y, 0.0])
+    return point
 
 
 def across(u: float, half_width: float, v: float) -> list[Array]:
+    """Two points on the blade, at its left and right."""
     return [at(u, -half_width, v), at(u, half_width, v)]
 
 

@@ -47,6 +47,7 @@ BOTTOM = hull(
 
 
 def wall(i: int) -> Piece:
+    """Segment ``i`` of the bowl's wall, for contact."""
     rings = [
         oval((a - inset) * WIDER, (b - inset) * WIDER, z, SEGMENTS)
         for a, b, z in ((0.0348, 0.0247, 0.0065), (0.038, 0.028, RIM))

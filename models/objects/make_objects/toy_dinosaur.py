@@ -42,7 +42,7 @@ TAIL = tube(
 
 
 def touched(name: str, rings: Sequence[Array]) -> Piece:
-    """What takes the contact of a tube: every other point, a little further out to make up."""
+    """The contact of a tube: every other point, a little further out to make up for the rest."""
     middles = [r.mean(0) for r in rings]
     coarse = [m + 1.05 * (r[1::2] - m) for r, m in zip(rings, middles, strict=True)]
     return Piece(name, hull(*coarse), drawn=False)
