@@ -1,7 +1,10 @@
-"""Views of axis-aligned boxes, by casting a ray per pixel: a camera without a renderer."""
+"""Views to test on: of boxes, by casting a ray per pixel, and recorded ones."""
+
+import json
 
 import numpy as np
 
+from tog_drake.saved_view import load_view
 from tog_drake.values import Intrinsics, View
 
 GREY, RED = (128, 128, 128), (200, 0, 0)
@@ -38,3 +41,17 @@ def pose(eye, target):
     X_WC[:3, :3] = np.stack([x, np.cross(z, x), z], axis=-1)
     X_WC[:3, 3] = eye
     return X_WC
+
+
+def recorded(folder, tmp_path) -> View:
+    """Returns a recorded view of the shared data: colour, depth and intrinsics, no pose."""
+    info = json.loads((folder / "info.json").read_text())
+    camera = tmp_path / "camera.json"
+    size = {"width": info["width"], "height": info["height"]}
+    camera.write_text(json.dumps({**info["intrinsics"], **size}))
+    return load_view(
+        rgb=folder / "color.png",
+        depth=folder / "depth.png",
+        intrinsics=camera,
+        units_per_metre=info["depth_units_per_metre"],
+    )

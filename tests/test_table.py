@@ -1,17 +1,15 @@
 """Finding the table without a camera pose: on boxes that are known, and on recorded views."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look, pose
+from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look, pose, recorded
 
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError
-from tog_drake.saved_view import load_view
 from tog_drake.table import find_table
 
 BOTTLE = ((0.48, -0.03, 0.0), (0.54, 0.03, 0.2), RED)
@@ -112,7 +110,7 @@ FRAMES = {
 @pytest.mark.parametrize("name", FRAMES)
 def test_on_recorded_views_the_table_is_gone_and_the_things_are_there(shared_data, name, tmp_path):
     height, things = FRAMES[name]
-    view = load_recorded(shared_data / "rgbd" / name, tmp_path)
+    view = recorded(shared_data / "rgbd" / name, tmp_path)
     table = find_table(view)
     assert table.X_WC[2, 3] == pytest.approx(height, abs=0.03)
     view = replace(view, X_WC=table.X_WC)
@@ -120,19 +118,6 @@ def test_on_recorded_views_the_table_is_gone_and_the_things_are_there(shared_dat
     assert np.mean(p_W[:, 2] < 0.012) < 0.25  # the feet of the things, hardly any table
     for thing, pixel in things.items():
         assert distance_to_ray(p_W, view, pixel) < 0.006, thing
-
-
-def load_recorded(folder, tmp_path):
-    info = json.loads((folder / "info.json").read_text())
-    camera = tmp_path / "camera.json"
-    size = {"width": info["width"], "height": info["height"]}
-    camera.write_text(json.dumps({**info["intrinsics"], **size}))
-    return load_view(
-        rgb=folder / "color.png",
-        depth=folder / "depth.png",
-        intrinsics=camera,
-        units_per_metre=info["depth_units_per_metre"],
-    )
 
 
 def distance_to_ray(p_W, view, pixel):

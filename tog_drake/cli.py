@@ -440,7 +440,7 @@ def _print_stages(console: Console, record: "EpisodeRecord") -> None:
     table = Table("stage", "how many", "ms", title=record["task"], title_justify="left")
     table.columns[1].justify = table.columns[2].justify = "right"
     for stage, count, seconds in stage_rows(record):
-        table.add_row(stage, count, "" if seconds is None else f"{seconds * 1e3:.0f}")
+        table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
     choice = record["choice"]
     if choice is not None:

@@ -138,32 +138,38 @@ def _crop(
 ) -> tuple[Array, Array]:
     """The pixels that show a surface inside the box: points (N, 3) in W, colours (N, 3)."""
     p_W = np.moveaxis(unproject(view), -1, 0)
-    keep = ~_flying(view, max_slope)
+    keep = np.ones(view.depth.shape, dtype=bool)
     for p, low, high in zip(p_W, lower, upper, strict=True):
         keep &= (p > low) & (p < high)  # False for the holes, which are NaN
-    row = np.flatnonzero(keep)  # much faster than a mask of two dimensions
-    return p_W.reshape(3, -1)[:, row].T, view.rgb.reshape(-1, 3)[row].astype(np.float64)
+    pixel = np.flatnonzero(keep)  # much faster than a mask of two dimensions
+    pixel = pixel[~_flying(view, pixel, max_slope)]
+    return p_W.reshape(3, -1)[:, pixel].T, view.rgb.reshape(-1, 3)[pixel].astype(np.float64)
 
 
-def _flying(view: View, max_slope: float) -> NDArray[np.bool_]:
-    """Pixels on a ramp between a near surface and a far one, where there is nothing in truth.
+def _flying(view: View, pixel: NDArray[np.int64], max_slope: float) -> NDArray[np.bool_]:
+    """Which pixels are on a ramp between a near surface and a far one, where nothing is in truth.
 
     Depth cameras blur edges; a surface as steep as ``max_slope`` = tan(84°) they could not see.
     """
-    depth = view.depth
-    step = depth * np.float32(max_slope / view.intrinsics.fx)
-    flying = np.zeros(depth.shape, dtype=bool)
-    for d, s, f in ((depth, step, flying), (depth.T, step.T, flying.T)):
-        change = d[1:] - d[:-1]
-        up, down = change > s[1:], change < -s[1:]
-        f[1:-1] |= (up[:-1] & up[1:]) | (down[:-1] & down[1:])
+    height, width = view.depth.shape
+    depth = view.depth.ravel()
+    row, column = np.divmod(pixel, width)
+    inner = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
+    flying = np.zeros(len(pixel), dtype=bool)
+    here = depth[pixel[inner]]
+    step = here * np.float32(max_slope / view.intrinsics.fx)
+    for beside in (1, width):
+        before = here - depth[pixel[inner] - beside]
+        after = depth[pixel[inner] + beside] - here
+        flying[inner] |= (np.minimum(before, after) > step) | (np.maximum(before, after) < -step)
     return flying
 
 
 def _inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in one of the spheres, inflated by ``padding`` [m]."""
     center, radius = spheres
-    squared = np.sum((p_W[:, None] - center) ** 2, axis=-1)  # (N, S)
+    # |p − c|² = |p|² − 2 p·c + |c|², as a product of matrices
+    squared = np.sum(p_W**2, axis=1)[:, None] - 2 * p_W @ center.T + np.sum(center**2, axis=1)
     return np.asarray(np.any(squared < (radius + padding) ** 2, axis=1))
 
 

@@ -30,10 +30,10 @@ def run_checks() -> list[Check]:
     """Returns every check in order; none of them raises."""
     checks = [
         _check("Python", _python),
-        _check("Drake", lambda: _version("drake")),
+        _check("Drake", lambda: _version("drake", "pydrake")),
         _check("numpy", lambda: _version("numpy")),
         _check("scipy", lambda: _version("scipy")),
-        _check("OpenCV", lambda: _version("opencv-python-headless")),
+        _check("OpenCV", lambda: _version("opencv-python-headless", "cv2")),
         _check("models", _models),
         _check("rendering", _rendering),
         _check("Meshcat", _meshcat),
@@ -66,11 +66,13 @@ def _python() -> str:
     return f"{platform.python_version()} on {platform.platform()}"
 
 
-def _version(distribution: str) -> str:
+def _version(distribution: str, module: str | None = None) -> str:
     try:
-        return metadata.version(distribution)
+        version = metadata.version(distribution)
     except metadata.PackageNotFoundError as error:
         raise _ProblemError(f"missing; install it with: pip install {distribution}") from error
+    importlib.import_module(module or distribution)  # a system library that it needs may be missing
+    return version
 
 
 def _models() -> str:
@@ -114,7 +116,7 @@ def _disk() -> str:
 
 def _graphviz() -> str:
     if shutil.which("dot") is None:
-        raise _ProblemError("missing; install it with: sudo apt-get install graphviz")
+        raise _ProblemError("install it with: sudo apt-get install graphviz")
     return str(shutil.which("dot"))
 
 
@@ -122,7 +124,5 @@ def _extra(module: str, extra: str) -> str:
     try:
         importlib.import_module(module)
     except ImportError as error:
-        raise _ProblemError(
-            f"missing; install it with: pip install 'tog_drake[{extra}]'"
-        ) from error
+        raise _ProblemError(f"install it with: pip install 'tog_drake[{extra}]'") from error
     return metadata.version(module)

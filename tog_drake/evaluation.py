@@ -1,7 +1,7 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
+import logging
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 
@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import track
 
 from tog_drake.episode import load_objects, run_episode
+from tog_drake.errors import InputError
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import load_scenario
@@ -40,7 +41,7 @@ def evaluate(
     Each object is put down as each seed says, and asked for by each intent of its labels.
 
     Raises:
-        InputError: if a scenario is unknown.
+        InputError: if a scenario is unknown, or has not one object.
     """
     cells = [
         _Cell(scenario, task, selector, seed)
@@ -49,13 +50,26 @@ def evaluate(
         for task in _tasks(scenario)
         for seed in seeds
     ]
-    with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
-        done = pool.map(_run, cells)
+    # A worker is renewed now and then, for a diagram's memory is not all given back. Leaving the
+    # block ends the workers, also when the user interrupts.
+    renewed = get_context("forkserver").Pool(workers, _keep_quiet, maxtasksperchild=10)
+    with renewed as pool:
+        done = pool.imap(_run, cells)
         return list(track(done, "episodes", total=len(cells), console=console))
 
 
+def _keep_quiet() -> None:
+    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
+
+
 def _tasks(scenario: str) -> list[str]:
-    (labels,) = load_objects(load_scenario(scenario)).values()
+    objects = load_objects(load_scenario(scenario))
+    if len(objects) != 1:
+        raise InputError(
+            f"scenario {scenario} holds {len(objects)} labelled objects "
+            f"({', '.join(objects) or 'none'}); only scenarios of one object can be compared"
+        )
+    (labels,) = objects.values()
     name = labels.object.replace("_", " ")
     return [text.format(name) for intent, text in _TASKS.items() if labels.tasks.get(intent)]
 

@@ -1,5 +1,6 @@
 """Watches a simulated episode and says how it ended. Reads ground truth; nothing reads it back."""
 
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from pydrake.geometry import GeometryId
@@ -91,47 +92,81 @@ class Judge:
     def verdict(self, state: ExecutorState, task: str) -> Verdict:
         """Returns how the episode ended, from all samples."""
         assert state.motion is not None
-        phases = state.motion.phase_times
-        outcome, message = self._outcome(state, phases)
-        held = self._held_at_lift_off(phases["lift"])
-        allowed = self._labels.objects[self._target].allowed(task)
-        compliance = None
-        if allowed is not None:
-            compliance = sum(held.get(part, 0.0) for part in allowed) >= COMPLIANT_SHARE
-        return Verdict(outcome, message, held, compliance, self.samples[-1].lift)
+        return verdict_of(
+            self.samples,
+            state.motion.phase_times,
+            stopped=state.phase is Phase.FAILED,
+            target=self._target,
+            allowed=self._labels.objects[self._target].allowed(task),
+        )
 
-    def _outcome(self, state: ExecutorState, phases: dict[str, float]) -> tuple[str, str | None]:
-        hit = max(self.samples, key=lambda s: s.hit)
-        if state.phase is Phase.FAILED:
-            return "collision", "the arm no longer followed its command and was stopped"
-        if hit.hit > _COLLISION:
-            return "collision", (
-                f"the robot pressed {hit.hit:.0f} N against the table or itself "
-                f"at {hit.time:.2f} s of the motion"
-            )
-        end = self.samples[-1].time
-        if min(s.lift for s in self.samples if s.time >= end - HOLD) >= LIFT:
-            return "lifted", None
-        if max(s.lift for s in self.samples) >= LIFT:
-            return "dropped", f"lost after {max(s.lift for s in self.samples):.2f} m of lift"
-        closed = [s for s in self.samples if phases["close"] < s.time <= phases["lift"]]
-        if not closed or sum(closed[-1].held.values()) < _TOUCH:
-            return "empty", "the fingers closed and touched nothing"
-        return "slipped", f"grasped, but lifted only {self.samples[-1].lift:.2f} m at the end"
 
-    def _held_at_lift_off(self, lift_begins: float) -> dict[str, float]:
-        """Shares of the pads' force by part of the target when it leaves the table."""
-        lifting = [s for s in self.samples if s.time >= lift_begins]
-        risen = [s for s in lifting if s.lift >= _LIFT_OFF]
-        sample = (risen or lifting)[0]
-        total = sum(sample.held.values())
-        if total < _TOUCH:
-            return {}
-        return {
-            part: force / total
-            for (model, part), force in sorted(sample.held.items(), key=lambda item: -item[1])
-            if model == self._target
-        }
+def verdict_of(
+    samples: Sequence[Sample],
+    phases: Mapping[str, float],
+    *,
+    stopped: bool,
+    target: str,
+    allowed: Collection[str] | None,
+) -> Verdict:
+    """Returns how an episode ended.
+
+    Args:
+        samples: in the order of time, at least one.
+        phases: [s] when the motion's phases begin: close, lift.
+        stopped: whether the arm no longer followed its command.
+        target: model instance of the object that the task is about.
+        allowed: its parts that the task allows; None where the task says none.
+    """
+    outcome, message = _outcome(samples, phases, stopped)
+    held = _held_at_lift_off(samples, phases["lift"], target)
+    compliance = None
+    if allowed is not None:
+        compliance = sum(held.get(part, 0.0) for part in allowed) >= COMPLIANT_SHARE
+    return Verdict(outcome, message, held, compliance, samples[-1].lift)
+
+
+def _outcome(
+    samples: Sequence[Sample], phases: Mapping[str, float], stopped: bool
+) -> tuple[str, str | None]:
+    hit = max(samples, key=lambda s: s.hit)
+    if stopped:
+        return "collision", "the arm no longer followed its command and was stopped"
+    if hit.hit > _COLLISION:
+        return "collision", (
+            f"the robot pressed {hit.hit:.0f} N against the table or itself "
+            f"at {hit.time:.2f} s of the motion"
+        )
+    end, highest = samples[-1], max(s.lift for s in samples)
+    if min(s.lift for s in samples if s.time >= end.time - HOLD) >= LIFT:
+        return "lifted", None
+    if end.lift >= LIFT:
+        return "dropped", f"lifted by {end.lift:.2f} m, but not held there for {HOLD:g} s"
+    if highest >= LIFT:
+        return "dropped", f"lost after {highest:.2f} m of lift"
+    closed = [s for s in samples if phases["close"] < s.time <= phases["lift"]]
+    if not closed or sum(closed[-1].held.values()) < _TOUCH:
+        return "empty", "the fingers closed and touched nothing"
+    return "slipped", f"grasped, but lifted only {end.lift:.2f} m at the end"
+
+
+def _held_at_lift_off(
+    samples: Sequence[Sample], lift_begins: float, target: str
+) -> dict[str, float]:
+    """Shares of the pads' force by part of the target when it leaves the table."""
+    lifting = [s for s in samples if s.time >= lift_begins]
+    if not lifting:
+        return {}  # stopped before the lift
+    risen = [s for s in lifting if s.lift >= _LIFT_OFF]
+    sample = (risen or lifting)[0]
+    total = sum(sample.held.values())
+    if total < _TOUCH:
+        return {}
+    return {
+        part: force / total
+        for (model, part), force in sorted(sample.held.items(), key=lambda item: -item[1])
+        if model == target
+    }
 
 
 def _geometries(

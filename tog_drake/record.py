@@ -6,7 +6,7 @@ from importlib.metadata import version
 from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
-from tog_drake.pipeline import Decision, PipelineConfig
+from tog_drake.pipeline import STAGE_SECONDS, Decision, PipelineConfig
 
 SCHEMA = "tog_drake/episode/1"
 """Name and version; the number changes when a field changes its meaning or goes away."""
@@ -47,7 +47,7 @@ class EpisodeRecord(TypedDict):
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
-    seconds: dict[str, float | None]  # wall time of each stage; decide = cloud .. plan
+    seconds: dict[str, float | None]  # wall time; null: did not run; decide = cloud .. plan
     sim: dict[str, float | None]  # seconds (simulated), real_time_rate (of the execution)
 
 
@@ -81,7 +81,9 @@ def new_record(
     if isinstance(error, NoFeasibleGrasp):
         counts["feasible"] = 0
     failed = error is not None
-    seconds: dict[str, float | None] = dict(decision.seconds)
+    seconds: dict[str, float | None] = {
+        stage: decision.seconds.get(stage) for stage in STAGE_SECONDS
+    }
     seconds["decide"] = sum(s for stage, s in decision.seconds.items() if stage != "render")
     seconds["execute"] = None
     return EpisodeRecord(
@@ -138,8 +140,8 @@ def _motion_record(decision: Decision) -> dict[str, Any] | None:
     return {"duration": motion.duration, "phases": motion.phase_times, "note": motion.note}
 
 
-def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float | None]]:
-    """Returns stage, how many came out of it, and its wall time [s], in the order of the data."""
+def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float]]:
+    """Returns of each stage that ran how many came out of it, and its wall time [s], in order."""
     counts, seconds = record["counts"], record["seconds"]
     sizes = {
         "cloud": ("points", "points"),
@@ -147,9 +149,9 @@ def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float | None]]:
         "filter": ("feasible", "feasible"),
         "candidates": ("candidates", "candidates"),
     }
-    rows: list[tuple[str, str, float | None]] = []
+    rows: list[tuple[str, str, float]] = []
     for stage, time in seconds.items():
-        if stage == "execute" and time is None:
+        if time is None:
             continue
         key, noun = sizes.get(stage, ("", ""))
         count = counts.get(key)

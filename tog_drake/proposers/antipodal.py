@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from pydrake.perception import PointCloud
 
 from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
-from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, MAX_OPENING, PAD_WIDTH, PALM_Z
+from tog_drake.panda import (
+    FINGER_THICKNESS,
+    FINGERTIP_Z,
+    MAX_OPENING,
+    PAD_WIDTH,
+    PALM_Z,
+    arrival_opening,
+)
 from tog_drake.points import Rows
 from tog_drake.proposers.hypotheses import (
     Surface,
@@ -42,7 +49,6 @@ class Antipodal:
     bin: float = 0.004  # [m] of the profiles along the closing direction
     max_gap: float = 0.012  # [m] an empty stretch up to this does not end an object
     max_width: float = 0.072  # [m] between the contacts; the hand opens to 0.08
-    opening_margin: float = 0.040  # [m] the hand arrives open this much wider, if it can
     table_clearance: float = 0.0035  # [m] between the hand and the table
     clearance: float = 0.002  # [m] between the open hand and every point
     per_anchor: int = 16  # best grasps of each anchor that are checked exactly
@@ -53,6 +59,7 @@ POINTS_PER_ANCHOR = 15  # of the searched cloud; a single thing has about 1000 p
 SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of what a finger may touch, along x
 HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
 EDGE = 0.005  # [m] a finger touches what is this close to the end of the stretch
+MIN_FACING = 0.60  # cosine; a surface turned farther from its finger lets it slip at any friction
 UNSEEN = 0.75  # cosine for a side that was not seen but whose outline runs along the pad
 
 
@@ -154,9 +161,9 @@ def _grips(
             clearance=config.clearance,
         )
         width = stretch.high - stretch.low  # up to a bin too much
-        opening = np.minimum(width + config.opening_margin, MAX_OPENING)
+        aside = (arrival_opening(width) - width) / 2  # from the thing to an open finger
         fits = stretch.found & (width <= config.max_width + config.bin)
-        fits &= stretch.room + config.bin >= (opening - width) / 2 + FINGER_THICKNESS
+        fits &= stretch.room + config.bin >= aside + FINGER_THICKNESS
         fits &= tip - stretch.top >= config.min_depth
         fits &= tip - first_of_all[attempt] < FINGERTIP_Z - PALM_Z - config.clearance
         grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits]))
@@ -173,7 +180,7 @@ def _lowest_tip(surface: Surface, tries: Tries, floor: float) -> Array:
 def _measure(
     surface: Surface, tries: Tries, sweep: _Sweep, grips: _Grips, max_width: float
 ) -> _Found:
-    """Exact width, centre, contact and score of each grip; those across two things are dropped."""
+    """Width, centre, contact and score of each grip that holds one thing by surfaces that face."""
     count = len(grips.attempt)
     grip, e = _points_between(sweep, grips)
     x, y, row = sweep.x[e], sweep.y[e], sweep.row[e]
@@ -203,9 +210,10 @@ def _measure(
         spare=max_width - (high - low),
     )
     foreign = surface.thing[row] != surface.thing[anchor][grip]
-    single = (np.bincount(grip[foreign], minlength=count) == 0) & (high - low <= max_width)
-    found = _Found(X_WG, high - low, score, surface.point[contact], anchor)
-    return found.take(np.flatnonzero(single))
+    good = (np.bincount(grip[foreign], minlength=count) == 0) & (high - low <= max_width)
+    good &= np.minimum(facing_high, facing_low) >= MIN_FACING
+    found = _Found(X_WG, (high - low).astype(np.float64), score, surface.point[contact], anchor)
+    return found.take(np.flatnonzero(good))
 
 
 def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
@@ -273,7 +281,7 @@ def _score(
         spare: (K,) [m] by which it could be wider.
     """
     return np.asarray(
-        0.35 * np.clip((facing - 0.4) / 0.55, 0, 1).mean(axis=0)
+        0.35 * np.clip((facing - MIN_FACING) / (0.95 - MIN_FACING), 0, 1).mean(axis=0)
         + 0.20 * np.minimum(depth / 0.025, 1)
         + 0.12 * (1 - tilt / (np.pi / 2))
         + 0.10 * covered
@@ -304,9 +312,11 @@ def _rank(group: Rows) -> Rows:
 
 def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> NDArray[np.bool_]:
     """Whether the open hand touches neither the table nor a point, for grasps at one anchor."""
-    opening = np.minimum(found.width + config.opening_margin, MAX_OPENING)
-    lower, upper = hand_boxes(opening)
-    above = lowest_corner(found.X_WG, lower, upper) > table + config.table_clearance - 1e-6
+    lower, upper = hand_boxes(arrival_opening(found.width))
+    free: NDArray[np.bool_] = lowest_corner(found.X_WG, lower, upper) > (
+        table + config.table_clearance - 1e-6
+    )
     near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
     lower, upper = lower - config.clearance, upper + config.clearance
-    return np.logical_and(above, points_inside(found.X_WG, lower, upper, surface.point[near]) == 0)
+    free &= points_inside(found.X_WG, lower, upper, surface.point[near]) == 0
+    return free

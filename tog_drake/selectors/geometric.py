@@ -14,14 +14,9 @@ from scipy.spatial import cKDTree
 from tog_drake.errors import NoChoice
 from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH
 from tog_drake.selector import choose
-from tog_drake.selectors.parts import (
-    HOLD_FOR_USE,
-    Mask,
-    PartNotFound,
-    Rule,
-    find_part,
-    rule_of,
-)
+from tog_drake.selectors.kinds import HOLD_FOR_USE, Rule
+from tog_drake.selectors.parts import PartNotFound, Region, find_part, rule_of
+from tog_drake.selectors.segmentation import Mask
 from tog_drake.selectors.targets import find_target
 from tog_drake.task import TaskReading, read_task
 from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, Grasps, View, Workspace
@@ -41,9 +36,10 @@ class Geometric:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """Where on the target to grasp."""
+    """Where on the target to grasp, and where not."""
 
     mask: Mask  # (M,) of the target's points
+    avoided: Mask  # (M,)
     part: str | None
     status: ChoiceStatus
     how: str
@@ -78,37 +74,50 @@ class GeometricSelector:
         on_target = _on_target(grasps, points, target.mask)
         if not on_target.any():
             raise NoChoice(f"{target.how}; none of {len(grasps)} feasible grasps is on it.")
-        thing = points[target.mask]
-        wanted = _wanted(reading, thing)
-        value, on_part = self._rate(grasps, thing, wanted.mask)
-        status, how = wanted.status, wanted.how
-        fits = on_target & on_part
+        wanted = _wanted(reading, points[target.mask])
+        held = _Held(grasps, points[target.mask])
+        fits = on_target & held.on(wanted.mask, self._config.min_on_part)
+        status, part, how = wanted.status, wanted.part, wanted.how
         if not fits.any():
-            how += f"; none of {on_target.sum()} grasps on the object is there: the nearest instead"
-            status, fits = "no_grasp_on_part" if status == "ok" else status, on_target
+            fits = on_target & ~held.on(wanted.avoided, 1.0 - self._config.min_on_part)
+            if not fits.any():
+                avoided = " and ".join(reading.avoid)
+                raise NoChoice(f"{target.how}; every grasp on it is on its {avoided}.")
+            status, part = "no_grasp_on_part", None
+            how += f"; none of {fits.sum()} grasps on the object is there, so the nearest to it"
+        value = held.value(wanted.mask, self._config.margin)
         index = int(np.argmax(np.where(fits, value, -1.0)))
         reason = f"{target.how}; {how}; best of {fits.sum()} grasps."
-        return choose(
-            index,
-            view,
-            candidates,
-            reason[:1].upper() + reason[1:],
-            status=status,
-            part=wanted.part,
-        )
+        return choose(index, view, candidates, reason, status=status, part=part)
 
-    def _rate(self, grasps: Grasps, thing: Array, part: Mask) -> tuple[Array, Mask]:
-        """The worth (N,) of each grasp, and whether (N,) it is on the part."""
-        between = _between(grasps, thing)
-        count = between.sum(axis=1)
-        contact = part[cKDTree(thing).query(grasps.p_WContact)[1]]
-        share = np.where(count > 0, (between & part).sum(axis=1) / np.maximum(count, 1), contact)
-        margin = np.ones(len(grasps))
-        if not part.all() and part.any():
-            depth = cKDTree(thing[~part]).query(grasps.X_WG[:, :3, 3])[0]
-            margin = np.minimum(depth / self._config.margin, 1.0)
-        value = grasps.score * (0.1 + share**2) * (0.4 + 0.6 * margin)
-        return value, contact & (share >= self._config.min_on_part)
+
+class _Held:
+    """What of a thing each grasp holds."""
+
+    def __init__(self, grasps: Grasps, thing: Array):
+        self._grasps = grasps
+        self._thing = thing
+        self._between = _between(grasps, thing)
+        self._contact = cKDTree(thing).query(grasps.p_WContact)[1]  # (N,) row of the thing
+
+    def share(self, part: Mask) -> Array:
+        """The share (N,) of the points between the pads that are of the part."""
+        count = self._between.sum(axis=1)
+        of_part = (self._between & part).sum(axis=1)
+        share = np.where(count > 0, of_part / np.maximum(count, 1), part[self._contact])
+        return np.asarray(share, dtype=np.float64)
+
+    def on(self, part: Mask, min_share: float) -> Mask:
+        """Whether (N,) the contact and at least ``min_share`` are on the part."""
+        return np.asarray(part[self._contact] & (self.share(part) >= min_share))
+
+    def value(self, part: Mask, margin: float) -> Array:
+        """The worth (N,) of each grasp: its confidence, more where it is well within the part."""
+        inside = np.ones(len(self._grasps))
+        if part.any() and not part.all():
+            depth = cKDTree(self._thing[~part]).query(self._grasps.X_WG[:, :3, 3])[0]
+            inside = np.minimum(depth / margin, 1.0)
+        return self._grasps.score * (0.1 + self.share(part) ** 2) * (0.4 + 0.6 * inside)
 
 
 def _lowered(grasps: Grasps, table: float) -> Grasps:
@@ -142,27 +151,42 @@ def _between(grasps: Grasps, points: Array) -> Mask:
 
 def _wanted(reading: TaskReading, thing: Array) -> _Wanted:
     """Where the task asks to grasp the target; everywhere where it does not say."""
-    everywhere = np.ones(len(thing), dtype=bool)
+    everywhere, nowhere = np.ones(len(thing), dtype=bool), np.zeros(len(thing), dtype=bool)
     if not (reading.parts or reading.avoid or reading.intent in {"use", "handover"}):
         if reading.intent == "hold":
-            return _Wanted(everywhere, None, "ok", "the task names no part, so any will do")
-        return _Wanted(everywhere, None, "unclear_task", "the task says neither part nor purpose")
+            how = "the task names no part, so any will do"
+            return _Wanted(everywhere, nowhere, None, "ok", how)
+        how = "the task says neither part nor purpose"
+        return _Wanted(everywhere, nowhere, None, "unclear_task", how)
     try:
         rule, how = rule_of(reading.objects, thing)
-        mask, avoided = everywhere, _avoid(reading, thing, rule)
-        part = None
         names = _names(reading, rule)
-        if names:
-            regions = {name: find_part(thing, name, rule) for name in names}
-            mask = np.any([region.mask for region in regions.values()], axis=0)
-            part = " or ".join(regions)
-            how += "; " + "; ".join(region.how for region in regions.values())
+        regions, missing = _find(thing, names, rule)
+        avoided, unseen = _find(thing, reading.avoid, rule)
     except PartNotFound as not_found:
-        how = f"{not_found}: any grasp on the object instead"
-        return _Wanted(everywhere, None, "part_not_found", how)
-    if avoided.any():
-        how += f"; away from the {' and '.join(reading.avoid)}"
-    return _Wanted(mask & ~avoided, part, "ok", how)
+        how = f"{not_found}; any grasp on the object instead"
+        return _Wanted(everywhere, nowhere, None, "part_not_found", how)
+    how = "; ".join([how, *(region.how for region in regions.values()), *missing, *unseen])
+    for name in avoided:
+        how += f"; away from its {name}"
+    out = np.any([nowhere, *(region.mask for region in avoided.values())], axis=0)
+    mask = np.any([region.mask for region in regions.values()], axis=0) if regions else everywhere
+    if names and not regions:
+        how += "; any grasp on the object instead"
+    lost = (names and not regions) or unseen
+    status: ChoiceStatus = "part_not_found" if lost else "ok"
+    return _Wanted(mask & ~out, out, " or ".join(regions) or None, status, how)
+
+
+def _find(thing: Array, names: tuple[str, ...], rule: Rule) -> tuple[dict[str, Region], list[str]]:
+    """The regions of those parts that are found, and why the others are not."""
+    regions, missing = {}, []
+    for name in names:
+        try:
+            regions[name] = find_part(thing, name, rule)
+        except PartNotFound as not_found:
+            missing.append(str(not_found))
+    return regions, missing
 
 
 def _names(reading: TaskReading, rule: Rule) -> tuple[str, ...]:
@@ -172,8 +196,3 @@ def _names(reading: TaskReading, rule: Rule) -> tuple[str, ...]:
     by_intent = {"use": HOLD_FOR_USE[rule.kind], "handover": rule.working}
     part = by_intent.get(reading.intent or "")
     return (part,) if part is not None and part not in reading.avoid else ()
-
-
-def _avoid(reading: TaskReading, thing: Array, rule: Rule) -> Mask:
-    masks = [find_part(thing, part, rule).mask for part in reading.avoid]
-    return np.asarray(np.any([np.zeros(len(thing), dtype=bool), *masks], axis=0))

@@ -25,8 +25,10 @@ DRAIN = 0.1  # a patch alone is of the colour where the colour fits better than 
 CREASE = 0.5  # [rad] a concave crease this sharp weakens the hold between patches to 1 / e
 CHANGE = 0.15  # of chromaticity, likewise, but for 40 % that print and paint cannot loosen
 MIN_PIECE_POINTS = 150
-FLOATING = 0.015  # [m] above the table: what starts higher hangs on something hidden ...
-HIDDEN_GAP = 0.06  # [m] ... at most this far away
+FLOATING = 0.010  # [m] above the table: what starts higher hangs on something hidden:
+NEAR_GAP = 0.015  # [m] on whatever is this near,
+HIDDEN_GAP = 0.06  # [m] or on something of like colour at most this far away
+ALIKE = 0.15  # sum of differences in chromaticity
 MIN_FLOATING_POINTS = 12
 
 
@@ -60,7 +62,10 @@ def is_heap(points: Array) -> bool:
 
 
 def _join_floating(points: Array, chroma: Array, label: Labels) -> Labels:
-    """Joins what floats to the nearest thing of like colour: what holds it up is hidden."""
+    """Joins what floats to the nearest thing: what holds it up is hidden.
+
+    So the far wall of a mug joins the near one, and a loop seen over the rim joins its mug.
+    """
     label = label.copy()
     count = np.bincount(label)
     for floating in np.flatnonzero(count >= MIN_FLOATING_POINTS):
@@ -75,7 +80,7 @@ def _join_floating(points: Array, chroma: Array, label: Labels) -> Labels:
         alike = np.abs(
             np.median(chroma[mine], axis=0) - np.median(chroma[label == holder], axis=0)
         ).sum()
-        if distance.min() < HIDDEN_GAP and alike < 0.15:
+        if distance.min() < (HIDDEN_GAP if alike < ALIKE else NEAR_GAP):
             label[mine] = holder
     return label
 

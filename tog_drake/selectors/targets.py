@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from tog_drake.errors import NoChoice
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
-from tog_drake.selectors.parts import RULES, Mask, likeness
-from tog_drake.selectors.segmentation import Labels, cut_out, is_heap, segment
+from tog_drake.selectors.kinds import RULES
+from tog_drake.selectors.parts import likeness
+from tog_drake.selectors.segmentation import Labels, Mask, cut_out, is_heap, segment
 from tog_drake.task import TaskReading
 from tog_drake.task_words import COLOUR_WORDS
 from tog_drake.values import Array
@@ -56,10 +57,10 @@ def find_target(
         ]
         return _by_colour(reading.colour, noun, points, rgb, things)
     if len(things) == 1:
-        return Target(things[0], "there is one object")
+        return Target(things[0], "There is one object")
     shaped = _shaped(noun, points, things)
     if len(shaped) == 1:
-        return Target(shaped[0], f"the one of {len(things)} objects with the shape of a {noun}")
+        return Target(shaped[0], f"Of {len(things)} objects the one with the shape of a {noun}")
     raise NoChoice(
         f"{len(things)} objects are in view and the task does not tell them apart"
         + (f": {len(shaped)} could be a {noun}" if noun else "")
@@ -92,10 +93,10 @@ def _by_colour(
         raise NoChoice(f"Nothing in view is {colour}; what is there is {seen}.")
     near = [thing for thing, m in zip(things, mean, strict=True) if m > CLEAR * best]
     if len(near) == 1:
-        return Target(near[0], f"the {colour} object ({colour} fits it to {best:.0%})")
+        return Target(near[0], f"The {colour} object ({colour} fits it to {best:.0%})")
     shaped = _shaped(noun, points, near)
     if len(shaped) == 1:
-        return Target(shaped[0], f"the {colour} object with the shape of a {noun}")
+        return Target(shaped[0], f"The {colour} object with the shape of a {noun}")
     raise NoChoice(
         f"{len(near)} objects in view are {colour}, and their shape does not tell which is meant. "
         "Leave only one in view, or name the object."

@@ -1,0 +1,451 @@
+"""The command as a user meets it: what it prints, where, and with which status it ends."""
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from typing import get_type_hints
+
+import pytest
+import typer
+import yaml
+from command import refused, tog
+
+from tog_drake import cli, evaluation
+from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
+from tog_drake.resources import resource_dir
+
+COMMANDS = typer.main.get_command(cli.app).commands
+OBJECTS = ["brush", "hammer", "mug", "screwdriver", "spatula", "spoon", "toydinosaur"]
+SCENARIOS = ["Brush", "Hammer", "Mug", "Screwdriver", "Spatula", "Spoon", "ToyDinosaur"]
+STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
+
+
+def _hammer_at(x, name="hammer"):
+    """A directive that puts a hammer on the table."""
+    return {
+        "add_model": {
+            "name": name,
+            "file": "package://tog_drake/objects/hammer/hammer.sdf",
+            "default_free_body_pose": {"base": {"translation": [x, 0.0, 0.001]}},
+        }
+    }
+
+
+def _write_scenario(path, *directives):
+    table = {"add_directives": {"file": "package://tog_drake/scenes/table.dmd.yaml"}}
+    path.write_text(yaml.safe_dump({"directives": [table, *directives]}), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def out_of_view(tmp_path):
+    """A scenario whose only object lies behind the robot, where the camera does not look."""
+    return _write_scenario(tmp_path / "behind.yaml", _hammer_at(-0.5))
+
+
+def _start(*arguments, cwd):
+    """Starts ``tog`` as a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "tog_drake.cli", *map(str, arguments)],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+# --- help ---------------------------------------------------------------------------------------
+
+
+def test_help_lists_every_subcommand():
+    done = tog("--help")
+    assert (done.status, done.err) == (0, "")
+    for name in ("run", "demo", "choose", "eval", "scenarios", "show", "diagram", "doctor"):
+        assert f"\n  {name} " in done.out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_subcommand_has_help_with_an_example_that_can_be_typed(name):
+    done = tog(name, "--help")
+    assert done.status == 0
+    example = " ".join(done.out.split("Example: ")[1].split())
+    program, subcommand, *arguments = shlex.split(example)
+    assert (program, subcommand) == ("tog", name)
+    # Raises where an option is unknown or a required one is missing.
+    COMMANDS[name].make_context(name, arguments)
+
+
+@pytest.mark.parametrize("arguments", [(), ("run",), ("choose",), ("diagram",), ("show",)])
+def test_without_what_is_needed_the_usage_is_shown(arguments):
+    done = tog(*arguments)
+    assert done.status == 2
+    assert "Usage: tog" in done.out + done.err
+
+
+# --- bad input ----------------------------------------------------------------------------------
+
+RUN = ("run", "--no-meshcat", "--task", "use the hammer")
+BAD = {
+    "scenario": ((*RUN, "--scenario", "Hamer"), ["'Hamer'", *SCENARIOS, "YAML file"]),
+    "folder as scenario": ((*RUN, "--scenario", "."), ["'.'", *SCENARIOS]),
+    "object": ((*RUN, "--object", "anvil"), ["'anvil'", *OBJECTS]),
+    "object of a scenario": (
+        (*RUN, "--scenario", "Hammer", "--object", "mug"),
+        ["'mug'", "valid: hammer"],
+    ),
+    "selector": (
+        (*RUN, "--selector", "best"),
+        ["'best'", "geometric", "top-score", "random", "oracle"],
+    ),
+    "proposer": ((*RUN, "--proposer", "gpd"), ["'gpd'", "antipodal"]),
+    "field": ((*RUN, "--scenario-text", "sede: 3"), ["'sede'", "random_seed", "pipeline"]),
+    "nested field": (
+        (*RUN, "--scenario-text", "pipeline: {clod: {}}"),
+        ["'clod'", "did you mean cloud?", "executor"],
+    ),
+    "tag": (
+        (*RUN, "--scenario-text", "pipeline: {selector: !Best {}}"),
+        ["!Best", "!Geometric", "!TopScore", "!Random", "!Oracle"],
+    ),
+    "value": ((*RUN, "--scenario-text", "random_seed: many"), ["random_seed", "'many'"]),
+    "no YAML": ((*RUN, "--scenario-text", "a: ["), ["--scenario-text", "not valid YAML"]),
+    "camera": ((*RUN, "--scenario-text", "pipeline: {camera: left}"), ["'left'", "wrist"]),
+    "resolution": (
+        (*RUN, "--scenario-text", "cameras: {wrist: !L515 {resolution: 8x8}}"),
+        ["'8x8'", "640x480", "1280x720"],
+    ),
+    "no object": ((*RUN, "--scenario-text", "directives: []"), ["no labelled object"]),
+    "empty task": (("run", "--task", ""), ["no words", "hand me the hammer"]),
+    "blank task": (("run", "--task", "  "), ["no words"]),
+    "task without a word": (("run", "--task", "?!"), ["'?!'", "no words"]),
+    "K = 0": ((*RUN, "--k", "0"), ["K is '0'", "at least 1", "auto"]),
+    "K = -1": ((*RUN, "--k", "-1"), ["K is '-1'", "at least 1", "auto"]),
+    "K = foo": ((*RUN, "--k", "foo"), ["K is 'foo'", "at least 1", "auto"]),
+    "show": (("show", "Hamer"), ["'Hamer'", *SCENARIOS]),
+    "diagram": (("diagram", "Hamer", "--out", "x.svg"), ["'Hamer'", *SCENARIOS]),
+    "eval's selector": (("eval", "--selectors", "oracle,best"), ["'best'", "top-score"]),
+    "eval's scenario": (("eval", "--scenarios", "Hamer"), ["'Hamer'", *SCENARIOS]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_with_what_was_given_and_what_is_valid(case, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments, words = BAD[case]
+    refused(tog(*arguments), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("initial_position: {panda: {elbow: 1}}", "panda_joint4"),
+        ("directives: [{add_model: {name: a, file: package://tog_drake/a.sdf}}]", "a.sdf"),
+        ("directives: [{add_model: {name: a, file: package://b/a.sdf}}]", "'b'"),
+        ("plant_config: {contact_model: soft}", "'soft'"),
+        ("plant_config: {time_step: -1}", "time_step"),  # Drake gives up with SystemExit
+    ],
+)
+def test_what_drake_refuses_of_a_scenario_is_bad_input_too(text, word, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(tog(*RUN, "--scenario-text", text), word)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run",), ["Missing option '--task'"]),
+        (("run", "--task", "x", "--seed", "-1"), ["'--seed'", "0"]),
+        (("run", "--task", "x", "--seed", "1.5"), ["'--seed'", "integer"]),
+        (("run", "--task", "x", "--sed", "1"), ["--sed", "--seed"]),
+        (("eval", "--seeds", "0"), ["'--seeds'", "1"]),
+        (("eval", "--workers", "0"), ["'--workers'", "1"]),
+        (("demo", "--seed", "-1"), ["'--seed'", "0"]),
+        (("frobnicate",), ["'frobnicate'"]),
+    ],
+)
+def test_misused_options_are_named_and_lead_to_the_help(arguments, words):
+    done = tog(*arguments)
+    assert (done.status, done.out) == (2, "")
+    assert "Traceback" not in done.err
+    assert "--help" in done.err
+    for word in words:
+        assert word in done.err
+
+
+def test_a_traceback_is_shown_only_when_it_is_asked_for():
+    done = tog("--debug", *RUN, "--scenario", "Hamer")
+    assert done.status == 2
+    assert "Traceback" in done.err
+    assert "InputError" in done.err
+    assert done.err.splitlines()[-1].startswith("tog: unknown scenario 'Hamer'")
+
+
+def test_a_defect_of_the_program_has_a_status_of_its_own_and_no_traceback(monkeypatch):
+    monkeypatch.setattr("tog_drake.scenario.scenario_files", lambda: {}["lost"])
+    done = tog("scenarios")
+    assert (done.status, done.out) == (3, "")
+    assert done.err == "tog: internal error, KeyError: 'lost' (--debug shows where)\n"
+    assert "Traceback" in tog("scenarios", "--debug").err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (*RUN, "--out", "taken"),
+        (*RUN, "--out", "taken/below"),
+        ("demo", "--out", "taken"),
+        ("eval", "--out", "taken"),
+        ("show", "Hammer", "--out", "taken/scene.html"),
+        ("diagram", "Hammer", "--out", "taken/hammer.svg"),
+    ],
+)
+def test_a_file_in_the_way_of_the_output_is_said_before_the_work(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("mine", encoding="utf-8")
+    refused(tog(*arguments), "--out taken", "taken is a file")
+    assert (tmp_path / "taken").read_text(encoding="utf-8") == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.mark.parametrize("command", [("show", "Hammer"), ("diagram", "Hammer")])
+def test_a_folder_where_a_file_is_to_be_written_is_said(command, tmp_path):
+    refused(tog(*command, "--out", tmp_path), f"{tmp_path} is a folder")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission_is_said(tmp_path):
+    tmp_path.chmod(0o500)
+    refused(tog(*RUN, "--out", tmp_path / "a" / "b"), "may not be written to")
+
+
+# --- run ----------------------------------------------------------------------------------------
+
+
+def test_a_hammer_is_handed_over_and_recorded_field_by_field(tmp_path):
+    """The one full episode of this file; as a process, so that nobody else's output is missed."""
+    arguments = ("--seed", 0, "--task", "hand me the hammer", "--no-meshcat", "--out", "r")
+    run = _start("run", "--json", *arguments, cwd=tmp_path)
+    out, err = run.communicate(timeout=300)
+    assert run.returncode == 0, err
+    (line,) = out.splitlines()  # nothing else on stdout
+    record = json.loads(line, parse_constant=pytest.fail)
+    for word in ("Traceback", "INFO", "live:"):
+        assert word not in err
+    assert [word for word in (*STAGES, "decide", "execute") if f" {word} " not in err] == []
+    assert "outcome: lifted" in err
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")} == {
+        "r", "r/episode.json", "r/report.html"
+    }  # fmt: skip
+    assert json.loads((tmp_path / "r/episode.json").read_text(encoding="utf-8")) == record
+    _check_lifted(record)
+
+
+def _check_lifted(record):
+    assert list(record) == list(get_type_hints(EpisodeRecord))
+    assert record["schema"] == SCHEMA
+    assert record["task"] == "hand me the hammer"
+    assert (record["object"], record["scenario"], record["seed"]) == ("hammer", "Hammer", 0)
+    assert record["selector"]["kind"] == "geometric"
+    assert record["proposer"]["kind"] == "antipodal"
+    counts, rejected = record["counts"], record["rejected"]
+    assert set(counts) == {"points", "proposed", "feasible", "candidates"}
+    assert {"no_ik", "hand_collision", "arm_collision"} <= set(rejected)
+    assert counts["proposed"] == counts["feasible"] + sum(rejected.values())
+    assert counts["points"] > 100
+    assert 1 <= counts["candidates"] <= counts["feasible"]
+    choice = record["choice"]
+    assert set(choice) >= {"index", "part", "reason", "status", "pixel"}
+    assert 0 <= choice["index"] < counts["feasible"]
+    assert (choice["part"], choice["status"]) == ("head", "ok")
+    assert 0 <= choice["pixel"][0] < 640
+    assert 0 <= choice["pixel"][1] < 480
+    assert (record["outcome"], record["message"]) == ("lifted", None)
+    assert record["grasp_success"] is record["task_compliance"] is True
+    assert record["combined_success"] is True
+    assert record["allowed"] == ["head"]
+    assert record["held"]["head"] >= 0.8
+    assert sum(record["held"].values()) == pytest.approx(1.0)
+    assert record["lift"] >= 0.10
+    seconds = record["seconds"]
+    assert list(seconds) == [*STAGES, "decide", "execute"]
+    assert all(value > 0 for value in seconds.values())
+    assert seconds["decide"] == pytest.approx(sum(seconds[stage] for stage in STAGES[1:]))
+    phases = record["motion"]["phases"]
+    assert phases["approach"] < phases["close"] < phases["lift"] < phases["hold"]
+    assert record["motion"]["duration"] >= phases["hold"] + 2.0
+    assert record["sim"]["seconds"] == pytest.approx(1.0 + record["motion"]["duration"], abs=0.1)
+    assert record["sim"]["real_time_rate"] == pytest.approx(
+        (record["sim"]["seconds"] - 1.0) / seconds["execute"], rel=0.01
+    )
+
+
+def test_with_nothing_in_view_it_ends_in_status_1_with_the_outcome(out_of_view, tmp_path):
+    done = tog(
+        "run", "--scenario", out_of_view, "--task", "use the hammer", "--no-meshcat", "--json",
+        "--out", tmp_path / "r",
+    )  # fmt: skip
+    assert done.status == 1
+    record = json.loads(done.out)
+    assert record["outcome"] == "no_grasp"
+    assert record["outcome"] in OUTCOMES
+    assert "no object in view" in record["message"]
+    assert record["scenario"] == str(out_of_view)
+    assert record["choice"] is None
+    assert record["grasp_success"] is False
+    assert "outcome: no_grasp (no object in view" in done.err
+    assert json.loads((tmp_path / "r/episode.json").read_text(encoding="utf-8")) == record
+    assert "no_grasp" in (tmp_path / "r/report.html").read_text(encoding="utf-8")
+
+
+def test_with_two_objects_it_asks_which_one_is_meant(tmp_path):
+    two = _write_scenario(tmp_path / "two.yaml", _hammer_at(0.5, "left"), _hammer_at(0.7, "right"))
+    refused(tog(*RUN, "--scenario", two), "--object", "left", "right")
+
+
+@pytest.mark.parametrize("name", ["toy_dinosaur", "Toy Dinosaur", "ToyDinosaur"])
+def test_an_object_may_be_spelled_as_people_do(name):
+    assert cli._scenario_of(name) == "ToyDinosaur"
+
+
+@pytest.mark.parametrize("wait", [0.0, 3.0], ids=["while it is built", "while it runs"])
+def test_ctrl_c_ends_a_run_at_once_and_leaves_no_file(wait, tmp_path):
+    run = _start("run", "--task", "use the hammer", "--out", "r", cwd=tmp_path)
+    assert run.stdout.readline().startswith("live: http://localhost:")
+    time.sleep(wait)
+    run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert err == "interrupted\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_while_a_file_is_written_leaves_the_earlier_one_whole(tmp_path, monkeypatch):
+    page = tmp_path / "scene.html"
+    page.write_text("before", encoding="utf-8")
+    monkeypatch.setattr(os, "fsync", lambda file: os.kill(os.getpid(), signal.SIGINT))
+    done = tog("show", "Hammer", "--out", page)
+    assert (done.status, done.err) == (130, "interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.html"]
+    assert page.read_text(encoding="utf-8") == "before"
+
+
+# --- the other subcommands ----------------------------------------------------------------------
+
+
+def test_scenarios_are_listed_for_people_or_as_json():
+    done = tog("scenarios")
+    assert (done.status, done.err) == (0, "")
+    assert all(name in done.out for name in SCENARIOS)
+    done = tog("scenarios", "--json")
+    listed = json.loads(done.out)
+    assert set(listed) >= set(SCENARIOS)
+    assert all(listed.values()), "every scenario begins with a comment that says what it is"
+    assert "Hammer" in done.err
+
+
+def test_every_scenario_file_is_listed():
+    files = {path.stem for path in resource_dir("diagrams").glob("*.yaml")}
+    assert set(json.loads(tog("scenarios", "--json").out)) == files
+
+
+def test_show_serves_the_scene_on_this_machine_until_ctrl_c(tmp_path):
+    show = _start("show", "Hammer", cwd=tmp_path)
+    assert show.stdout.readline().startswith("live: http://localhost:")
+    show.send_signal(signal.SIGINT)
+    _, err = show.communicate(timeout=60)
+    assert (show.returncode, err) == (130, "interrupted\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_diagram_writes_a_picture(tmp_path):
+    done = tog("diagram", "Hammer", "--selector", "oracle", "--out", tmp_path / "a" / "h.svg")
+    assert (done.status, done.err) == (0, "")
+    assert done.out == f"picture: {tmp_path / 'a' / 'h.svg'}\n"  # never broken in two
+    assert "OracleSelector" in (tmp_path / "a" / "h.svg").read_text(encoding="utf-8")
+
+
+def test_doctor_prints_one_json_object():
+    done = tog("doctor", "--json")
+    assert done.status == 0, done.err
+    checks = json.loads(done.out)
+    assert checks["Drake"]["ok"]
+    assert set(checks["Drake"]) == {"name", "ok", "found", "required"}
+
+
+# --- eval ---------------------------------------------------------------------------------------
+
+
+def test_eval_runs_every_task_of_an_object_and_counts_failures(out_of_view, tmp_path):
+    run = _start(
+        "eval", "--scenarios", out_of_view.name, "--selectors", "top-score", "--seeds", "1",
+        "--workers", "1", "--json", "--out", "e", cwd=tmp_path,
+    )  # fmt: skip
+    out, err = run.communicate(timeout=120)
+    assert run.returncode == 0, err
+    (line,) = out.splitlines()
+    row, total = json.loads(line)["rows"]
+    assert (row["selector"], row["scenario"], row["n"]) == ("top-score", "behind.yaml", 2)
+    assert (row["grasp"], row["task"], row["both"], row["failures"]) == (0, 0, 0, "2 no_grasp")
+    assert {**row, "scenario": "all"} == total
+    assert "INFO" not in err
+    lines = (tmp_path / "e" / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
+    assert [json.loads(text)["task"] for text in lines] == ["use the hammer", "hand me the hammer"]
+
+
+def test_eval_needs_scenarios_of_one_object(tmp_path):
+    two = _write_scenario(tmp_path / "two.yaml", _hammer_at(0.5, "left"), _hammer_at(0.7, "right"))
+    done = tog("eval", "--scenarios", two, "--out", tmp_path / "e")
+    refused(done, "2 labelled objects", "left, right")
+
+
+def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):
+    asked = []
+
+    def evaluate(scenarios, selectors, seeds, **rest):
+        asked.extend([scenarios, selectors, list(seeds)])
+        return [_episode("Mug", "random", "lifted")]
+
+    monkeypatch.setattr(evaluation, "evaluate", evaluate)
+    done = tog(
+        "eval", "--scenarios", "Hammer, Mug", "--selectors", "random ,oracle", "--seeds", 2,
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    assert asked == [["Hammer", "Mug"], ["random", "oracle"], [0, 1]]
+
+
+def _episode(scenario, selector, outcome, compliance=True):
+    lifted = outcome == "lifted"
+    return {
+        "scenario": scenario, "selector": {"kind": selector}, "outcome": outcome,
+        "grasp_success": lifted, "task_compliance": compliance,
+        "combined_success": lifted and compliance,
+    }  # fmt: skip
+
+
+def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
+    records = [
+        _episode("Hammer", "random", "lifted"),
+        _episode("Hammer", "random", "lifted", compliance=False),
+        _episode("Mug", "random", "slipped"),
+        _episode("Mug", "random", "no_grasp", compliance=False),
+        _episode("Hammer", "oracle", "lifted"),
+    ]
+    rows = {(r["selector"], r["scenario"]): r for r in evaluation.summarize(records)}
+    assert list(rows) == [
+        ("random", "Hammer"), ("random", "Mug"), ("random", "all"),
+        ("oracle", "Hammer"), ("oracle", "all"),
+    ]  # fmt: skip
+    assert {k: rows["random", "Hammer"][k] for k in ("n", "grasp", "task", "both")} == {
+        "n": 2, "grasp": 1.0, "task": 0.5, "both": 0.5
+    }  # fmt: skip
+    assert rows["random", "Mug"]["failures"] == "1 slipped, 1 no_grasp"
+    everything = rows["random", "all"]
+    assert (everything["n"], everything["grasp"], everything["both"]) == (4, 0.5, 0.25)
+    assert rows["oracle", "all"]["failures"] == ""

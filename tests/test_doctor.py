@@ -1,0 +1,95 @@
+import importlib
+import shutil
+import subprocess
+from collections import namedtuple
+
+import pytest
+
+from tog_drake import cli, doctor
+
+
+@pytest.fixture(scope="module")
+def checks():
+    """What the doctor finds on this machine, by name."""
+    return {check.name: check for check in doctor.run_checks()}
+
+
+def _exit_status(monkeypatch, found):
+    monkeypatch.setattr(doctor, "run_checks", lambda: found)
+    with pytest.raises(SystemExit) as ended:
+        cli.app(["doctor"], prog_name="tog")
+    return ended.value.code
+
+
+def test_everything_that_the_tests_need_is_found_with_its_version(checks):
+    required = {name: check for name, check in checks.items() if check.required}
+    assert set(required) == {
+        "Python", "Drake", "numpy", "scipy", "OpenCV", "models", "rendering", "Meshcat", "disk"
+    }  # fmt: skip
+    assert [check for check in required.values() if not check.ok] == []
+    assert required["Drake"].found.startswith("1.")
+    assert "http://localhost" in required["Meshcat"].found
+    assert required["rendering"].found.startswith("first 64×48 image")
+
+
+def test_optional_extras_are_listed_with_the_command_that_installs_them(checks, monkeypatch):
+    extras = [name for name in checks if "extra" in name]
+    assert [name.split()[1] for name in extras] == ["[cgn]", "[meshcat]"]
+    monkeypatch.setattr(importlib, "import_module", _not_there)
+    missing = doctor._check("extra", lambda: doctor._extra("torch", "cgn"), required=False)
+    assert not missing.ok
+    assert missing.found == "install it with: pip install 'tog_drake[cgn]'"
+
+
+def _not_there(name):
+    raise ImportError(f"No module named {name!r}")
+
+
+def test_a_module_that_is_installed_but_cannot_be_loaded_is_a_problem(monkeypatch):
+    def broken(name):
+        raise ImportError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(importlib, "import_module", broken)
+    found = {check.name: check for check in doctor.run_checks()}["OpenCV"]
+    assert not found.ok
+    assert "libGL.so.1" in found.found
+
+
+def test_a_package_that_is_not_installed_comes_with_the_command(monkeypatch):
+    check = doctor._check("x", lambda: doctor._version("no-such-distribution-here"))
+    assert not check.ok
+    assert check.found == "missing; install it with: pip install no-such-distribution-here"
+
+
+def test_a_renderer_that_crashes_takes_only_its_own_process_down(monkeypatch):
+    crash = subprocess.CompletedProcess([], returncode=-11, stdout="", stderr="driver\nno display")
+    monkeypatch.setattr(subprocess, "run", lambda *args, **kwargs: crash)
+    check = doctor._check("rendering", doctor._rendering)
+    assert not check.ok
+    assert check.found == "a test image failed with status -11: no display"
+
+
+def test_a_full_disk_is_a_problem(monkeypatch):
+    usage = namedtuple("usage", "free")(3e8)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage)
+    check = doctor._check("disk", doctor._disk)
+    assert not check.ok
+    assert check.found == "0.3 GB free here; 1 GB is needed"
+
+
+@pytest.mark.parametrize(
+    ("ok", "required", "mark", "status"),
+    [
+        (True, True, "ok", 0),
+        (False, False, "missing", 0),
+        (False, True, "PROBLEM", 1),
+    ],
+)
+def test_only_what_is_needed_makes_the_command_fail(
+    ok, required, mark, status, monkeypatch, capsys
+):
+    check = doctor.Check("thing", ok, "found " + 90 * "x", required)
+    assert _exit_status(monkeypatch, [check]) == status
+    (line,) = capsys.readouterr().out.splitlines()  # never broken in two
+    assert line.startswith(mark)
+    assert line.endswith("x")

@@ -1,0 +1,64 @@
+"""What is heavy or optional is loaded by nobody who does not use it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import tog_drake
+
+HEAVY = ("torch", "cv2", "requests")
+
+
+def _loaded(program):
+    """The modules that are loaded after ``program``, in a Python of its own."""
+    program += "\nimport json, sys; sys.stderr.write(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stderr.splitlines()[-1]))
+
+
+def _help(*arguments):
+    return f"""
+import sys
+from tog_drake.cli import main
+sys.argv = ["tog", *{arguments!r}, "--help"]
+try:
+    main()
+except SystemExit as ended:
+    assert ended.code == 0
+"""
+
+
+@pytest.mark.parametrize(
+    "program",
+    ["import tog_drake", _help(), _help("run"), _help("choose")],
+    ids=["import", "help", "run --help", "choose --help"],
+)
+def test_neither_the_package_nor_its_help_loads_anything_heavy(program):
+    loaded = _loaded(program)
+    assert "tog_drake" in loaded
+    assert loaded.isdisjoint({*HEAVY, "pydrake", "scipy"})
+
+
+def test_every_module_can_be_loaded_without_what_is_optional():
+    program = """
+import importlib, pkgutil, tog_drake
+for module in pkgutil.walk_packages(tog_drake.__path__, "tog_drake."):
+    if "contact_graspnet" not in module.name:
+        importlib.import_module(module.name)
+"""
+    assert _loaded(program).isdisjoint(HEAVY)
+
+
+@pytest.mark.parametrize("name", tog_drake.__all__)
+def test_every_public_name_is_there_when_it_is_asked_for(name):
+    assert getattr(tog_drake, name).__name__ == name
+
+
+def test_an_unknown_public_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'Kuka'"):
+        _ = tog_drake.Kuka

@@ -1,0 +1,125 @@
+import json
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+from pydrake.perception import PointCloud
+
+from tog_drake.errors import NoChoice, NoFeasibleGrasp, NoGrasp, NoPlan
+from tog_drake.pipeline import Decision, PipelineConfig, Random, TopScore
+from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord, new_record, stage_rows
+from tog_drake.values import Candidates, Choice, FeasibleGrasps, GraspMotion, Grasps
+
+STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
+
+
+def _grasps(n, type_=Grasps):
+    return type_(np.tile(np.eye(4), (n, 1, 1)), np.full(n, 0.03), np.ones(n), np.zeros((n, 3)))
+
+
+def _decision():
+    """Every stage gave something: 5 points, 4 grasps, 3 feasible, 2 candidates, 1 choice."""
+    feasible = _grasps(3, FeasibleGrasps)
+    feasible.rejected.update(no_ik=1)
+    return Decision(
+        cloud=PointCloud(5),
+        grasps=_grasps(4),
+        feasible_grasps=feasible,
+        candidates=Candidates(feasible, np.array([0, 2]), np.array([0, 0, 1])),
+        choice=Choice(index=2, grasp=_grasps(1), reason="why", pixel=(1.234567, 2.0)),
+        motion=GraspMotion(GraspMotion.still().arm, GraspMotion.still().hand, 6.0, {"lift": 2.0}),
+        seconds={stage: 0.1 for stage in STAGES},
+    )
+
+
+def _record(decision, config=None):
+    return new_record(decision, config or PipelineConfig(), task="use it", seed=7)
+
+
+def _json(record):
+    return json.loads(json.dumps(record, allow_nan=False))
+
+
+def test_a_record_has_every_field_of_the_schema_in_its_order_and_is_json():
+    record = _json(_record(_decision()))
+    assert list(record) == list(get_type_hints(EpisodeRecord))
+    assert (record["schema"], record["task"], record["seed"]) == (SCHEMA, "use it", 7)
+    assert record["counts"] == {"points": 5, "proposed": 4, "feasible": 3, "candidates": 2}
+    assert record["rejected"] == {"no_ik": 1}
+    assert record["choice"] == {
+        "index": 2, "part": None, "reason": "why", "status": "ok", "pixel": [1.23, 2.0],
+        "score": 1.0, "width": 0.03,
+    }  # fmt: skip
+    assert record["motion"] == {"duration": 6.0, "phases": {"lift": 2.0}, "note": ""}
+    assert record["outcome"] == "chosen"
+
+
+def test_a_decision_that_was_not_executed_says_nothing_about_success():
+    record = _record(_decision())
+    successes = ("grasp_success", "task_compliance", "combined_success")
+    assert [record[key] for key in successes] == [None, None, None]
+
+
+def test_deciding_is_all_but_rendering_and_executing():
+    seconds = _record(_decision())["seconds"]
+    assert list(seconds) == [*STAGES, "decide", "execute"]
+    assert seconds["decide"] == pytest.approx(0.6)
+    assert seconds["execute"] is None
+
+
+@pytest.mark.parametrize(
+    ("error", "outcome"),
+    [
+        (NoGrasp("nothing there"), "no_grasp"),
+        (NoFeasibleGrasp("none", {"no_ik": 4}), "no_grasp"),
+        (NoChoice("unsure"), "no_choice"),
+        (NoPlan("blocked"), "no_plan"),
+    ],
+)
+def test_an_early_end_has_a_typed_outcome_with_its_message_and_is_no_success(error, outcome):
+    record = _json(_record(Decision(error=error, seconds={"render": 0.2, "cloud": 0.1})))
+    assert (record["outcome"], record["message"]) == (outcome, str(error))
+    assert outcome in OUTCOMES
+    assert record["grasp_success"] is record["combined_success"] is False
+    assert record["choice"] is None
+    assert record["counts"]["candidates"] is None
+
+
+def test_stages_that_did_not_run_keep_their_place_as_null():
+    record = _record(Decision(error=NoGrasp("x"), seconds={"render": 0.2, "cloud": 0.1}))
+    assert list(record["seconds"]) == [*STAGES, "decide", "execute"]
+    assert record["seconds"]["plan"] is None
+    assert [row[0] for row in stage_rows(record)] == ["render", "cloud", "decide"]
+
+
+def test_rejections_are_kept_when_nothing_is_left():
+    decision = Decision(grasps=_grasps(4), error=NoFeasibleGrasp("none", {"no_ik": 3, "arm": 1}))
+    record = _record(decision)
+    assert record["rejected"] == {"no_ik": 3, "arm": 1}
+    assert (record["counts"]["proposed"], record["counts"]["feasible"]) == (4, 0)
+
+
+def test_alternatives_are_recorded_as_the_command_spells_them_with_their_settings():
+    record = _record(_decision(), PipelineConfig(selector=TopScore()))
+    assert record["selector"] == {"kind": "top-score"}
+    assert record["proposer"]["kind"] == "antipodal"
+    assert record["proposer"]["max_grasps"] == PipelineConfig().proposer.max_grasps
+    assert _record(_decision(), PipelineConfig(selector=Random()))["selector"]["kind"] == "random"
+
+
+def test_the_short_table_says_of_each_stage_how_many_and_how_long():
+    rows = stage_rows(_record(_decision()))
+    assert [row[0] for row in rows] == [*STAGES, "decide"]
+    assert [row[1] for row in rows if row[1]] == [
+        "5 points", "4 grasps", "3 feasible", "2 candidates"
+    ]  # fmt: skip
+    assert rows[0][2] == 0.1
+
+
+def test_changing_a_record_leaves_the_decision_as_it_was():
+    decision = _decision()
+    record = _record(decision)
+    record["rejected"]["no_ik"] = 99
+    record["seconds"]["plan"] = 99.0
+    assert decision.feasible_grasps.rejected == {"no_ik": 1}
+    assert decision.seconds["plan"] == 0.1
