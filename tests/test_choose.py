@@ -12,8 +12,8 @@ from tog_drake.choose import GRASPS_SCHEMA
 from tog_drake.record import SCHEMA
 
 TASK = ("--task", "pick up the box")
-# As tall as a cup, 4 cm by 12 cm, turned away from nothing: its sides are along x and y of W.
-BLOCK = ((0.44, -0.02, 0.0), (0.56, 0.02, 0.06), RED)
+BLOCK = ((0.44, -0.02, 0.0), (0.56, 0.02, 0.06), RED)  # 12 cm along x of W, 4 cm along y
+ABOVE = (0.4, 0.0, 0.55)  # from here the camera sees little more than its top
 
 
 def _write(folder, view):
@@ -37,7 +37,7 @@ def _files(folder, depth="depth.png"):
 
 @pytest.fixture(scope="module")
 def view():
-    return look([TABLE, BLOCK])
+    return look([TABLE, BLOCK], eye=ABOVE)
 
 
 @pytest.fixture(scope="module")
@@ -95,11 +95,11 @@ def test_every_grasp_closes_on_the_block_from_above_in_the_cameras_frame(grasps,
         assert np.all(contact > np.array(lower) - 0.006)
         assert np.all(contact < np.array(upper) + 0.006)
         X_WG = X_WC @ np.array(grasp["X_CG"])
-        assert np.all(X_WG[:2, 3] > np.array(lower[:2]))
-        assert np.all(X_WG[:2, 3] < np.array(upper[:2]))
+        assert np.all(X_WG[:2, 3] > np.array(lower[:2]) - 0.002)
+        assert np.all(X_WG[:2, 3] < np.array(upper[:2]) + 0.002)
         assert 0 < X_WG[2, 3] < upper[2] + 0.01
         assert X_WG[2, 2] < 0  # the approach leads down
-        assert 0.03 < grasp["width"] < 0.08
+        assert 0 < grasp["width"] < 0.08
         assert 0 <= grasp["score"] <= 1
 
 
@@ -203,8 +203,8 @@ def test_a_part_that_cannot_be_told_apart_is_said_and_not_guessed(tmp_path):
 
 
 def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_path):
-    slab = ((0.40, -0.12, 0.0), (0.64, 0.12, 0.10), RED)
-    files = _write(tmp_path / "v", look([TABLE, slab], eye=(0.1, 0.0, 0.6)))
+    board = ((0.40, -0.12, 0.0), (0.64, 0.12, 0.012), RED)
+    files = _write(tmp_path / "v", look([TABLE, board], eye=(0.3, 0.0, 0.6)))
     out = tmp_path / "out"
     done = tog("choose", *files, *TASK, "--selector", "top-score", "--json", "--out", out)
     record = json.loads(done.out)

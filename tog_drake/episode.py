@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from pydrake.systems.sensors import CameraConfig
 
+from tog_drake.camera import rendered_intrinsics
 from tog_drake.compliance import ObjectParts, PartLabels, load_parts
 from tog_drake.errors import InputError
 from tog_drake.executor import Phase
@@ -17,7 +17,6 @@ from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import EpisodeRecord, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.stations.simulation import SimulationStation
-from tog_drake.values import Intrinsics
 from tog_drake.visualization import draw_decision, replay_html
 
 _SAMPLE = 0.02  # [s] between two looks of the judge
@@ -71,12 +70,13 @@ def build_world(
         raise InputError(
             f"pipeline.camera: the scenario has no camera {camera!r}; valid: {', '.join(cameras)}"
         )
+    color, _ = cameras[camera].MakeCameras()
     station = SimulationStation(scenario, meshcat)
     labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
     planning_model = MakePlanningModel([robot_directive(scenario), *scenario.planning_directives])
     pipeline = GraspPipeline(
         scenario.pipeline,
-        intrinsics=_intrinsics(cameras[camera]),
+        intrinsics=rendered_intrinsics(color.core().intrinsics()),
         planning_model=planning_model,
         seed=scenario.random_seed,
         ground_truth=GroundTruth(labels, target),
@@ -199,16 +199,3 @@ def _find_target(objects: dict[str, ObjectParts], wanted: str | None) -> str:
     if len(same) != 1:
         raise InputError(f"unknown object {wanted!r}; valid: {valid}")
     return same[0]
-
-
-def _intrinsics(camera: CameraConfig) -> Intrinsics:
-    color, _ = camera.MakeCameras()
-    info = color.core().intrinsics()
-    return Intrinsics(
-        width=info.width(),
-        height=info.height(),
-        fx=info.focal_x(),
-        fy=info.focal_y(),
-        cx=info.center_x(),
-        cy=info.center_y(),
-    )

@@ -117,7 +117,8 @@ class _Held:
         if part.any() and not part.all():
             depth = cKDTree(self._thing[~part]).query(self._grasps.X_WG[:, :3, 3])[0]
             inside = np.minimum(depth / margin, 1.0)
-        return self._grasps.score * (0.1 + self.share(part) ** 2) * (0.4 + 0.6 * inside)
+        on_part = (0.1 + self.share(part) ** 2) * (0.6 + 0.4 * inside)
+        return np.asarray(self._grasps.score**2 * on_part)
 
 
 def _lowered(grasps: Grasps, table: float) -> Grasps:
