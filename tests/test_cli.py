@@ -214,8 +214,10 @@ def test_a_file_in_the_way_of_the_output_is_said_before_the_work(arguments, tmp_
 
 
 @pytest.mark.parametrize("command", [("show", "Hammer"), ("diagram", "Hammer")])
-def test_a_folder_where_a_file_is_to_be_written_is_said(command, tmp_path):
+def test_a_folder_or_a_device_where_a_file_is_to_be_written_is_said(command, tmp_path):
     refused(tog(*command, "--out", tmp_path), f"{tmp_path} is a folder")
+    os.mkfifo(tmp_path / "pipe")  # as little a file as /dev/stdout, which root could replace
+    refused(tog(*command, "--out", tmp_path / "pipe"), "no ordinary file")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
@@ -287,11 +289,13 @@ def _check_lifted(record):
 
 def test_with_nothing_in_view_it_ends_in_status_1_with_the_outcome(out_of_view, tmp_path):
     done = tog(
-        "run", "--scenario", out_of_view, "--task", "use the hammer", "--no-meshcat", "--json",
-        "--out", tmp_path / "r",
+        "run", "--scenario", out_of_view, "--task", "use [/x] the :hammer:", "--no-meshcat",
+        "--json", "--out", tmp_path / "r",
     )  # fmt: skip
     assert done.status == 1
     record = json.loads(done.out)
+    assert record["task"] == "use [/x] the :hammer:"
+    assert record["task"] in done.err  # no markup, no emoji
     assert record["outcome"] == "no_grasp"
     assert record["outcome"] in OUTCOMES
     assert "no object in view" in record["message"]

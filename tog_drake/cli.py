@@ -338,9 +338,11 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_file(file: Path) -> None:
-    """The same for a file."""
+    """The same for a file; nor is a device such as /dev/stdout replaced by a file."""
     if file.is_dir():
         raise InputError(f"--out {file} is a folder; name a file in it")
+    if file.exists() and not file.is_file():
+        raise InputError(f"--out {file} is no ordinary file; name one")
     _check_folder(file.parent)
 
 
@@ -349,13 +351,16 @@ def _names(text: str) -> list[str]:
 
 
 def _console(as_json: bool) -> Console:
-    """Where people read: stdout, or stderr when stdout is for one JSON object."""
-    return Console(stderr=as_json)
+    """Where people read: stdout, or stderr when stdout is for one JSON object.
+
+    A task or a file name is printed as it is, whatever brackets or colons are in it.
+    """
+    return Console(stderr=as_json, markup=False, highlight=False, emoji=False)
 
 
 def _say(console: Console, text: str) -> None:
     """Prints one line as it is: a path or a command broken in two could not be copied."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    console.print(text, soft_wrap=True)
 
 
 def _print_json(as_json: bool, content: Any) -> None:

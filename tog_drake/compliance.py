@@ -15,6 +15,7 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from tog_drake.errors import InputError
 from tog_drake.panda import PAD_WIDTH
 from tog_drake.task import read_task
+from tog_drake.task_words import PART_WORDS
 from tog_drake.values import Array, Grasps
 
 
@@ -45,8 +46,11 @@ class ObjectParts:
         return None
 
     def _parts_called(self, words: tuple[str, ...]) -> frozenset[str]:
+        # A task's words for parts come in the spelling of PART_WORDS, labels as people say them.
         return frozenset(
-            part for part, called in self.part_words.items() if {part, *called} & set(words)
+            part
+            for part, called in self.part_words.items()
+            if {PART_WORDS.get(word, word) for word in (part, *called)} & set(words)
         )
 
 
@@ -108,16 +112,16 @@ class PartLabels:
     ) -> list[dict[tuple[str, str], float]]:
         """Returns the share of each (model instance, part) in what each grasp closes on.
 
-        Each pad is sampled across its width, at both contacts (``p_WContact`` and the point
-        ``width`` across, along y_G); a sample counts for the part nearest to it.
+        The box between the pads, a little wider than they are, is sampled; each sample counts for
+        the part nearest to it, if one is near.
         """
         return [
-            self._shares(_pad_samples(X, p, w), query_object)
+            self._shares(_region_samples(X, p, w), query_object)
             for X, p, w in zip(grasps.X_WG, grasps.p_WContact, grasps.width, strict=True)
         ]
 
     def _shares(self, points: Array, query_object: QueryObject) -> dict[tuple[str, str], float]:
-        share: dict[tuple[str, str], float] = {}
+        nearest = []
         for point in points:
             near = [
                 (found.distance, self.part_of[found.id_G])
@@ -125,9 +129,8 @@ class PartLabels:
                 if found.id_G in self.part_of
             ]
             if near:
-                part = min(near)[1]
-                share[part] = share.get(part, 0.0) + 1 / len(points)
-        return share
+                nearest.append(min(near)[1])
+        return {part: nearest.count(part) / len(nearest) for part in dict.fromkeys(nearest)}
 
     def held(
         self, forces: list[tuple[GeometryId, GeometryId, float]], pads: frozenset[GeometryId]
@@ -147,16 +150,18 @@ class PartLabels:
         return force
 
 
-_CONTACT_REACH = 0.02  # [m] a sample farther from any part than this belongs to none
+_CONTACT_REACH = 0.02  # [m] a sample farther than this from every part counts for none
 
 
-def _pad_samples(X_WG: Array, p_WContact: Array, width: float) -> Array:
-    """Points across both pads, (6, 3) [m]: the contact, its counterpart, and beside them."""
-    x, y = X_WG[:3, 0], X_WG[:3, 1]
+def _region_samples(X_WG: Array, p_WContact: Array, width: float) -> Array:
+    """Points between the pads, (24, 3) [m]: across, along and beyond the pads' faces."""
+    x, y, z = X_WG[:3, :3].T
     side = np.sign((p_WContact - X_WG[:3, 3]) @ y) or 1.0
-    across = np.array([0.0, -side * width])[:, None, None] * y
-    along = (np.array([-0.4, 0.0, 0.4]) * PAD_WIDTH)[:, None] * x
-    samples: Array = (p_WContact + across + along).reshape(-1, 3)
+    along = np.array([-0.7, 0.0, 0.7]) * PAD_WIDTH
+    across = np.array([0.0, 1 / 3, 2 / 3, 1.0]) * -side * width
+    deep = np.array([-0.4, 0.4]) * PAD_WIDTH
+    grid = np.stack(np.meshgrid(along, across, deep), axis=-1).reshape(-1, 3)
+    samples: Array = p_WContact + grid @ np.stack([x, y, z])
     return samples
 
 

@@ -20,7 +20,7 @@ from tog_drake.visualization import make_meshcat
 def show_live(console: Console) -> Meshcat:
     """Starts Meshcat on localhost and says where."""
     meshcat = make_meshcat()
-    console.print(f"live: {meshcat.web_url()}", highlight=False)
+    console.print(f"live: {meshcat.web_url()}")
     return meshcat
 
 
@@ -59,6 +59,6 @@ def write_scene(scenario: Scenario, path: Path) -> None:
 def serve_scene(scenario: Scenario, console: Console) -> None:
     """Serves the scene on localhost until the user interrupts."""
     meshcat = _scene(scenario)
-    console.print(f"live: {meshcat.web_url()} (Ctrl-C ends it)", highlight=False)
+    console.print(f"live: {meshcat.web_url()} (Ctrl-C ends it)")
     while True:
         time.sleep(1.0)
