@@ -119,9 +119,7 @@ class Candidates:
         return Candidates(Grasps.empty(), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
-ChoiceStatus = Literal[
-    "ok", "part_not_found", "object_not_found", "unclear_task", "no_grasp_on_part"
-]
+ChoiceStatus = Literal["ok", "part_not_found", "unclear_task", "no_grasp_on_part"]
 
 
 @dataclass(frozen=True)
