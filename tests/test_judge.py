@@ -156,7 +156,7 @@ def test_the_judge_sees_a_hammer_at_rest_and_nobody_touching_it():
     body = station.plant.GetBodyByName("base", station.plant.GetModelInstanceByName("hammer"))
     plant_context = station.plant.GetMyMutableContextFromRoot(context)
     X_WB = body.EvalPoseInWorld(plant_context)
-    X_WB.set_translation(X_WB.translation() + [0, 0, 0.12])
+    X_WB.set_translation(X_WB.translation() + np.array([0, 0, 0.12]))
     station.plant.SetFreeBodyPose(plant_context, body, X_WB)
     judge.observe(context, ExecutorState(phase=Phase.MOVE, start_time=-1.5))
     before, after = judge.samples

@@ -28,7 +28,7 @@ def _decision():
         candidates=Candidates(feasible, np.array([0, 2]), np.array([0, 0, 1])),
         choice=Choice(index=2, grasp=_grasps(1), reason="why", pixel=(1.234567, 2.0)),
         motion=GraspMotion(GraspMotion.still().arm, GraspMotion.still().hand, 6.0, {"lift": 2.0}),
-        seconds={stage: 0.1 for stage in STAGES},
+        seconds=dict.fromkeys(STAGES, 0.1),
     )
 
 

@@ -38,8 +38,8 @@ def load_view(
     metres = _read_depth(depth, units_per_metre)
     if color.shape[:2] != metres.shape:
         raise InputError(
-            f"colour and depth differ in size: {rgb} is {_size(color)}, {depth} is {_size(metres)}; "
-            "they must be aligned, pixel by pixel"
+            f"colour and depth differ in size: {rgb} is {_size(color)}, {depth} is "
+            f"{_size(metres)}; they must be aligned, pixel by pixel"
         )
     camera = load_intrinsics(intrinsics)
     if (camera.height, camera.width) != metres.shape:
