@@ -1,6 +1,6 @@
 """The whole thing in thirty lines: build the Diagram, ask for a task, watch it in Meshcat.
 
-    python diagrams/simulation.py "hand me the hammer"
+python diagrams/simulation.py "hand me the hammer"
 """
 
 import sys

@@ -111,3 +111,19 @@ def test_what_the_scenario_lacks_is_said_with_what_it_has():
 def test_an_object_can_be_named_by_what_it_is():
     assert build_world(load_scenario("Hammer"), target="claw hammer").target == "hammer"
     assert list(load_objects(load_scenario("Mug"))) == ["mug"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("executor: {period: 0}", r"period \(0.*must be above 0"),
+        ("workspace: {lower: [1, 2]}", "three numbers each"),
+        ("workspace: {lower: [1, 0, 0], upper: [0, 1, 1]}", "every lower below its upper"),
+        ("cloud: {voxel: 0}", r"cloud\.voxel is 0"),
+        ("proposer: {yaws: 0}", "yaws at least 1"),
+        ("candidates: {k: 0}", "at least 1, or 'auto'"),
+    ],
+)
+def test_senseless_settings_are_refused_before_the_simulation_starts(text, message):
+    with pytest.raises(InputError, match=message):
+        build_world(load_scenario("Hammer", f"pipeline: {{{text}}}"))

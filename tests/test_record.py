@@ -76,11 +76,11 @@ def test_deciding_is_all_but_rendering_and_executing():
         (NoPlan("blocked"), "no_plan"),
     ],
 )
-def test_an_early_end_has_a_typed_outcome_with_its_message_and_is_no_success(error, outcome):
+def test_an_early_end_has_a_typed_outcome_with_its_message_and_no_verdict(error, outcome):
     record = _json(_record(Decision(error=error, seconds={"render": 0.2, "cloud": 0.1})))
     assert (record["outcome"], record["message"]) == (outcome, str(error))
     assert outcome in OUTCOMES
-    assert record["grasp_success"] is record["combined_success"] is False
+    assert record["grasp_success"] is record["combined_success"] is None  # nothing was executed
     assert record["choice"] is None
     assert record["counts"]["candidates"] is None
 

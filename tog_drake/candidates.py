@@ -39,7 +39,7 @@ def pick_candidates(grasps: Grasps, config: CandidatesConfig, seed: int) -> Cand
 
     Raises InputError where the config asks for no candidate, NoGrasp where there is no grasp.
     """
-    k, k_max = _counts(config)
+    k, k_max = candidate_counts(config)
     if len(grasps) == 0:
         raise NoGrasp("There is no feasible grasp to pick candidates from.")
     rows = _canonical_order(grasps)
@@ -57,8 +57,12 @@ def pick_candidates(grasps: Grasps, config: CandidatesConfig, seed: int) -> Cand
     return Candidates(grasps, rows[first], cluster)
 
 
-def _counts(config: CandidatesConfig) -> tuple[int | None, int]:
-    """The K asked for (None: auto) and the largest K to try. The command gives K as text."""
+def candidate_counts(config: CandidatesConfig) -> tuple[int | None, int]:
+    """Returns the K asked for (None: auto) and the largest K to try. The command gives K as text.
+
+    Raises:
+        InputError: K is neither a whole number of at least 1 nor "auto".
+    """
     text = str(config.k).strip().lower()
     if config.k_max < 1:
         raise InputError(f"k_max is {config.k_max}; at least 1 candidate is needed.")
@@ -169,7 +173,7 @@ class CandidatePicker(LeafSystem):
 
     def __init__(self, config: CandidatesConfig, *, seed: int):
         super().__init__()
-        _counts(config)  # a wrong K is said now, not after the first image
+        candidate_counts(config)  # a wrong K is said now, not after the first image
         self._config = config
         self._seed = seed
         none = FeasibleGrasps(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0), np.zeros((0, 3)))

@@ -2,23 +2,22 @@
 
 import json
 import logging
-import os
 import signal
 import sys
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from tog_drake.errors import InputError, TogError
+from tog_drake.files import check_file, check_folder
+from tog_drake.terminal import console_for, print_json, print_stages, say
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
-    from tog_drake.record import EpisodeRecord
     from tog_drake.scenario import Scenario
 
 app = typer.Typer(
@@ -84,8 +83,8 @@ def run(
     from tog_drake.showing import report_of, save_record, show_live
     from tog_drake.task import read_task
 
-    console = _console(as_json)
-    _check_folder(out)
+    console = console_for(as_json)
+    check_folder(out)
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
     loaded = _load(name, scenario_text, selector, proposer, k, seed)
@@ -96,9 +95,9 @@ def run(
         )
     save_record(out / "episode.json", episode.record)
     write_report(out / "report.html", [report_of(episode)])
-    _print_stages(console, episode.record)
-    _say(console, f"report: {out / 'report.html'}")
-    _print_json(as_json, episode.record)
+    print_stages(console, episode.record)
+    say(console, f"report: {out / 'report.html'}")
+    print_json(as_json, episode.record)
     raise typer.Exit(0 if episode.record["outcome"] == "lifted" else 1)
 
 
@@ -115,8 +114,8 @@ def demo(
     from tog_drake.showing import report_of, save_record
     from tog_drake.visualization import make_meshcat
 
-    console = _console(as_json=False)
-    _check_folder(out)
+    console = console_for(as_json=False)
+    check_folder(out)
     loaded = _load(DEFAULT_SCENARIO, None, None, None, None, seed)
     episodes = []
     for label, task in DEMO_TASKS.items():
@@ -125,10 +124,10 @@ def demo(
                 loaded, name=DEFAULT_SCENARIO, task=task, target=None, meshcat=make_meshcat()
             )
         save_record(out / label / "episode.json", episode.record)
-        _print_stages(console, episode.record)
+        print_stages(console, episode.record)
         episodes.append(episode)
     write_report(out / "report.html", [report_of(episode) for episode in episodes])
-    _say(console, f"report: {out / 'report.html'}")
+    say(console, f"report: {out / 'report.html'}")
     good = all(episode.record["combined_success"] for episode in episodes)
     raise typer.Exit(0 if good else 1)
 
@@ -167,8 +166,8 @@ def choose(
     from tog_drake.saved_view import load_pose, load_view
     from tog_drake.selectors.drawing import decision_image, encode_png
 
-    console = _console(as_json)
-    _check_folder(out)
+    console = console_for(as_json)
+    check_folder(out)
     config = _overridden_pipeline(selector, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
@@ -178,9 +177,9 @@ def choose(
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
     write_atomically(out / "episode.json", json.dumps(record, indent=1))
-    _print_stages(console, record)
-    _say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
-    _print_json(as_json, record)
+    print_stages(console, record)
+    say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
+    print_json(as_json, record)
     raise typer.Exit(0 if decision.error is None else 1)
 
 
@@ -200,8 +199,8 @@ def evaluate_(
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import SELECTORS
 
-    console = _console(as_json)
-    _check_folder(out)
+    console = console_for(as_json)
+    check_folder(out)
     chosen = _names(selectors)
     for selector in chosen:
         _valid(selector, SELECTORS, "selector")
@@ -213,7 +212,7 @@ def evaluate_(
     for row in rows:
         table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
     console.print(table)
-    _print_json(as_json, {"rows": rows})
+    print_json(as_json, {"rows": rows})
 
 
 @app.command(epilog=_epilog("tog scenarios"))
@@ -221,13 +220,13 @@ def scenarios(as_json: JsonOption = False) -> None:
     """List the scenarios that come with the package."""
     from tog_drake.scenario import scenario_files
 
-    console = _console(as_json)
+    console = console_for(as_json)
     found = {name: _first_comment(path) for name, path in scenario_files().items()}
     table = Table("scenario", "what it is")
     for name, comment in found.items():
         table.add_row(name, comment)
     console.print(table)
-    _print_json(as_json, found)
+    print_json(as_json, found)
 
 
 @app.command(epilog=_epilog("tog show Hammer --out hammer.html"))
@@ -243,14 +242,14 @@ def show(
     from tog_drake.showing import serve_scene, write_scene
 
     if out is not None:
-        _check_file(out)
+        check_file(out)
     loaded = _load(scenario, scenario_text, None, None, None, seed)
-    console = _console(as_json=False)
+    console = console_for(as_json=False)
     if out is None:
         serve_scene(loaded, console)
     else:
         write_scene(loaded, out)
-        _say(console, f"page: {out}")
+        say(console, f"page: {out}")
 
 
 @app.command(epilog=_epilog("tog diagram Hammer --out hammer.svg"))
@@ -265,10 +264,10 @@ def diagram(
     from tog_drake.episode import build_world
     from tog_drake.files import write_atomically
 
-    _check_file(out)
+    check_file(out)
     loaded = _load(scenario, scenario_text, selector, None, None, None)
     write_atomically(out, svg(build_world(loaded)))
-    _say(_console(as_json=False), f"picture: {out}")
+    say(console_for(as_json=False), f"picture: {out}")
 
 
 @app.command(epilog=_epilog("tog doctor"))
@@ -276,12 +275,12 @@ def doctor(as_json: JsonOption = False) -> None:
     """Check this machine: Python, Drake, rendering, Meshcat, disk, optional extras."""
     from tog_drake.doctor import run_checks
 
-    console = _console(as_json)
+    console = console_for(as_json)
     checks = run_checks()
     for check in checks:
         mark = "ok     " if check.ok else ("PROBLEM" if check.required else "missing")
-        _say(console, f"{mark}  {check.name}: {check.found}")
-    _print_json(as_json, {check.name: vars(check) for check in checks})
+        say(console, f"{mark}  {check.name}: {check.found}")
+    print_json(as_json, {check.name: vars(check) for check in checks})
     raise typer.Exit(0 if all(check.ok for check in checks if check.required) else 1)
 
 
@@ -328,44 +327,8 @@ def _interrupt(signum: int, frame: object) -> None:
     raise _Interrupted
 
 
-def _check_folder(folder: Path) -> None:
-    """Refuses a folder that nothing can be written to, before the work instead of after it."""
-    existing = next(path for path in (folder, *folder.parents) if path.exists())
-    if not existing.is_dir():
-        raise InputError(f"--out {folder}: {existing} is a file; name a folder")
-    if not os.access(existing, os.W_OK):
-        raise InputError(f"--out {folder}: {existing} may not be written to; name another folder")
-
-
-def _check_file(file: Path) -> None:
-    """The same for a file; nor is a device such as /dev/stdout replaced by a file."""
-    if file.is_dir():
-        raise InputError(f"--out {file} is a folder; name a file in it")
-    if file.exists() and not file.is_file():
-        raise InputError(f"--out {file} is no ordinary file; name one")
-    _check_folder(file.parent)
-
-
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
-
-
-def _console(as_json: bool) -> Console:
-    """Where people read: stdout, or stderr when stdout is for one JSON object.
-
-    A task or a file name is printed as it is, whatever brackets or colons are in it.
-    """
-    return Console(stderr=as_json, markup=False, highlight=False, emoji=False)
-
-
-def _say(console: Console, text: str) -> None:
-    """Prints one line as it is: a path or a command broken in two could not be copied."""
-    console.print(text, soft_wrap=True)
-
-
-def _print_json(as_json: bool, content: Any) -> None:
-    if as_json:
-        sys.stdout.write(json.dumps(content) + "\n")
 
 
 def _valid(given: str, valid: Mapping[str, T], what: str) -> T:
@@ -423,6 +386,7 @@ def _overridden_pipeline(
 def _override(
     config: "PipelineConfig", selector: str | None, proposer: str | None, k: str | None
 ) -> None:
+    from tog_drake.candidates import candidate_counts
     from tog_drake.pipeline import PROPOSERS, SELECTORS
 
     if selector is not None:
@@ -431,35 +395,12 @@ def _override(
         config.proposer = _valid(proposer, PROPOSERS, "proposer")()
     if k is not None:
         config.candidates.k = k
+        candidate_counts(config.candidates)  # a wrong K is refused before anything starts
 
 
 def _first_comment(path: Path) -> str:
     first = path.read_text(encoding="utf-8").splitlines()[0]
     return first.lstrip("# ") if first.startswith("#") else ""
-
-
-def _print_stages(console: Console, record: "EpisodeRecord") -> None:
-    """The short table: stage, how many, ms; then what came of it."""
-    from tog_drake.record import stage_rows
-
-    table = Table("stage", "how many", "ms", title=record["task"], title_justify="left")
-    table.columns[1].justify = table.columns[2].justify = "right"
-    for stage, count, seconds in stage_rows(record):
-        table.add_row(stage, count, f"{seconds * 1e3:.0f}")
-    console.print(table)
-    choice = record["choice"]
-    if choice is not None:
-        _say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
-        if choice["status"] != "ok":
-            _say(console, f"status: {choice['status']}")
-    held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
-    _say(
-        console,
-        f"outcome: {record['outcome']}"
-        + (f"; held by {held}" if held else "")
-        + (f"; task compliance: {record['task_compliance']}" if held else "")
-        + (f" ({record['message']})" if record["message"] else ""),
-    )
 
 
 if __name__ == "__main__":

@@ -59,6 +59,8 @@ class SceneCloud(LeafSystem):
         robot_spheres: Callable[[Array], Spheres] | None = None,
     ):
         super().__init__()
+        if config.voxel <= 0:
+            raise InputError(f"cloud.voxel is {config.voxel}; valid: above 0 [m]")
         self._config = config
         self._workspace = workspace
         self._robot_spheres = robot_spheres

@@ -129,6 +129,11 @@ def run_episode(
     record["allowed"] = None if allowed is None else sorted(allowed)
     if decision.error is None:
         _execute(simulator, world, task, record)
+    else:
+        record["grasp_success"] = False
+        record["task_compliance"] = None if allowed is None else False
+    if record["task_compliance"] is not None:
+        record["combined_success"] = record["grasp_success"] and record["task_compliance"]
     record["sim"]["seconds"] = context.get_time()
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context())
     return Episode(record, decision, replay)
@@ -157,8 +162,6 @@ def _execute(simulator: Simulator, world: World, task: str, record: EpisodeRecor
     record["lift"] = verdict.lift
     record["grasp_success"] = verdict.grasp_success
     record["task_compliance"] = verdict.task_compliance
-    if verdict.task_compliance is not None:
-        record["combined_success"] = verdict.grasp_success and verdict.task_compliance
 
 
 def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:

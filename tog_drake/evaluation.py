@@ -1,21 +1,25 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 
 from rich.console import Console
-from rich.progress import track
+from rich.progress import Progress
 
 from tog_drake.episode import load_objects, run_episode
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, TogError
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import load_scenario
 
 # What is asked for each intent that an object is labelled for; {} is what the object is.
 _TASKS = {"use": "use the {}", "handover": "hand me the {}"}
+
+_BATCH = 20  # episodes between two renewals of the workers
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,30 @@ def evaluate(
         for task in _tasks(scenario)
         for seed in seeds
     ]
-    # A worker is renewed now and then, for a diagram's memory is not all given back. Leaving the
-    # block ends the workers, also when the user interrupts.
-    renewed = get_context("forkserver").Pool(workers, _keep_quiet, maxtasksperchild=10)
-    with renewed as pool:
-        done = pool.imap(_run, cells)
-        return list(track(done, "episodes", total=len(cells), console=console))
+    records: list[EpisodeRecord] = []
+    with Progress(console=console) as progress:
+        bar = progress.add_task("episodes", total=len(cells))
+        for start in range(0, len(cells), _BATCH):
+            for record in _run_batch(cells[start : start + _BATCH], workers):
+                records.append(record)
+                progress.advance(bar)
+    return records
+
+
+def _run_batch(cells: list[_Cell], workers: int) -> Iterator[EpisodeRecord]:
+    """Runs some episodes in new processes: a diagram's memory is not all given back."""
+    context = get_context("forkserver")
+    with ProcessPoolExecutor(workers, context, initializer=_keep_quiet) as pool:
+        try:
+            yield from pool.map(_run, cells)
+        except BrokenProcessPool as error:
+            raise TogError(
+                "a worker process died, perhaps for want of memory; try fewer --workers"
+            ) from error
+        except BaseException:  # Ctrl-C too: else the pool would wait for episodes under way
+            for process in active_children():
+                process.terminate()
+            raise
 
 
 def _keep_quiet() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from tog_drake.errors import InputError
 from tog_drake.panda import MAX_OPENING
 from tog_drake.values import Array, GraspMotion
 
@@ -65,6 +66,12 @@ class GraspExecutor(LeafSystem):
 
     def __init__(self, config: ExecutorConfig):
         super().__init__()
+        if config.period <= 0 or config.look_time < 0 or config.max_tracking_error <= 0:
+            raise InputError(
+                f"executor: period ({config.period}) and max_tracking_error "
+                f"({config.max_tracking_error}) must be above 0, look_time ({config.look_time}) "
+                "must not be below"
+            )
         self._config = config
         self._motion = self.DeclareAbstractInputPort("motion", Value(GraspMotion.still()))
         self._measured = self.DeclareVectorInputPort("panda.position_measured", 7)

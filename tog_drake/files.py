@@ -1,8 +1,10 @@
-"""Writing a file so that nobody ever sees half of it."""
+"""Writing a file so that nobody ever sees half of it, and asking beforehand whether one can."""
 
 import os
 import secrets
 from pathlib import Path
+
+from tog_drake.errors import InputError
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
@@ -28,3 +30,21 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuses a folder that nothing can be written to, before the work instead of after it."""
+    existing = next(path for path in (folder, *folder.parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError(f"--out {folder}: {existing} is a file; name a folder")
+    if not os.access(existing, os.W_OK):
+        raise InputError(f"--out {folder}: {existing} may not be written to; name another folder")
+
+
+def check_file(file: Path) -> None:
+    """The same for a file; nor is a device such as /dev/stdout replaced by a file."""
+    if file.is_dir():
+        raise InputError(f"--out {file} is a folder; name a file in it")
+    if file.exists() and not file.is_file():
+        raise InputError(f"--out {file} is no ordinary file; name one")
+    check_folder(file.parent)

@@ -117,6 +117,7 @@ class GraspPipeline(Diagram):
         ground_truth: GroundTruth | None = None,
     ):
         super().__init__()
+        _check_workspace(config.workspace)
         builder = DiagramBuilder()
 
         def add(system: System, name: str) -> System:
@@ -164,6 +165,19 @@ class GraspPipeline(Diagram):
             builder.ExportOutput(self.executor.GetOutputPort(name), name)
         builder.BuildInto(self)
         self.set_name("pipeline")
+
+
+def _check_workspace(workspace: Workspace) -> None:
+    lower, upper = workspace.lower, workspace.upper
+    if (
+        len(lower) != 3
+        or len(upper) != 3
+        or not all(a < b for a, b in zip(lower, upper, strict=True))
+    ):
+        raise InputError(
+            f"workspace: lower {lower} and upper {upper} must be three numbers each [m], every "
+            "lower below its upper"
+        )
 
 
 def make_proposer(config: PipelineConfig, seed: int) -> Proposer:

@@ -80,7 +80,6 @@ def new_record(
     }
     if isinstance(error, NoFeasibleGrasp):
         counts["feasible"] = 0
-    failed = error is not None
     seconds: dict[str, float | None] = {
         stage: decision.seconds.get(stage) for stage in STAGE_SECONDS
     }
@@ -100,9 +99,9 @@ def new_record(
         choice=_choice_record(decision),
         outcome=error.outcome if error is not None else "chosen",
         message=str(error) if error is not None else None,
-        grasp_success=False if failed else None,
-        task_compliance=False if failed else None,
-        combined_success=False if failed else None,
+        grasp_success=None,
+        task_compliance=None,
+        combined_success=None,
         held={},
         allowed=None,
         lift=None,

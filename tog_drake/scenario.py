@@ -5,7 +5,6 @@ plus ``planning_directives``, the part of the world that the robot knows, and ``
 Config dataclasses are not frozen, because Drake's YAML loader fills them field by field.
 """
 
-from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,14 +100,14 @@ class Scenario:
     """The world around the robot. A stochastic `default_free_body_pose` is drawn by the seed."""
     planning_directives: list[ModelDirective] = field(default_factory=lambda: [_table()])
     """What the robot knows of that world. It does not know the objects."""
-    initial_position: Mapping[str, Mapping[str, float]] = field(
+    initial_position: dict[str, dict[str, float]] = field(
         default_factory=lambda: {
             "panda": {f"panda_joint{i}": q for i, q in enumerate(LOOK_POSTURE, 1)},
             "hand": {"panda_finger_joint1": 0.04, "panda_finger_joint2": 0.04},
         }
     )
     """Joint positions at the start [rad or m]: looking at the table with the hand open."""
-    cameras: Mapping[str, L515 | CameraConfig] = field(default_factory=lambda: {"wrist": L515()})
+    cameras: dict[str, L515 | CameraConfig] = field(default_factory=lambda: {"wrist": L515()})
     """RGB-D cameras by name."""
     plant_config: MultibodyPlantConfig = field(
         default_factory=lambda: MultibodyPlantConfig(
@@ -170,6 +169,8 @@ def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:
         )
     except (RuntimeError, ValueError, TypeError, AttributeError, yaml.YAMLError) as error:
         raise InputError(f"{source}: {error}") from error
+    if scenario.random_seed < 0:
+        raise InputError(f"{source}: random_seed must not be below 0, not {scenario.random_seed}")
     if scenario.plant_config.discrete_contact_approximation == "tamsi":
         raise InputError(
             f"{source}: plant_config.discrete_contact_approximation: tamsi ignores the coupling "

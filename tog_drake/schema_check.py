@@ -7,6 +7,7 @@ in the file it was. This walks the same schema (dataclasses and Drake's bound st
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
+from math import isnan
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -94,13 +95,12 @@ def _check_scalar(schema: type, node: yaml.ScalarNode, where: str) -> None:
         value = yaml.safe_load(node.value)
         if schema is bool and isinstance(value, bool):
             return
-        if schema is not bool and not isinstance(value, bool):
-            schema(value)
+        if schema is not bool and not isinstance(value, bool) and not isnan(schema(value)):
             return
     except (ValueError, TypeError, yaml.YAMLError):
         pass
     kind = {int: "a whole number", float: "a number", bool: "true or false"}[schema]
-    raise InputError(f"{where} must be {kind}, not {node.value!r}")
+    raise InputError(f"{where} must be {kind}, not {_shown(node)}")
 
 
 def _items(node: yaml.Node, where: str) -> list[tuple[str, yaml.Node]]:
@@ -111,7 +111,7 @@ def _items(node: yaml.Node, where: str) -> list[tuple[str, yaml.Node]]:
 
 def _shown(node: yaml.Node) -> str:
     if isinstance(node, yaml.ScalarNode):
-        return repr(node.value)
+        return repr(node.value[:60])
     return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
 
 

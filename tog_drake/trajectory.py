@@ -132,6 +132,12 @@ def _limits(config: TrajectoryConfig, q: Array) -> JointLimits:
     """The robot's limits at the configured speed, wide enough for the given q (N, 7)."""
     if not 0 < config.speed <= 1:
         raise InputError(f"trajectory.speed is {config.speed}; valid: above 0, up to 1")
+    if min(config.approach_speed, config.lift_speed, config.closing_speed) <= 0:
+        raise InputError(
+            "trajectory: approach_speed, lift_speed and closing_speed must be above 0 [m/s]"
+        )
+    if min(config.settle_time, config.hold_time) < 0:
+        raise InputError("trajectory: settle_time and hold_time must not be below 0 [s]")
     lower = np.minimum(Q_LOWER + config.position_margin, q.min(axis=0))
     upper = np.maximum(Q_UPPER - config.position_margin, q.max(axis=0))
     return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(config.speed)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.perception import PointCloud
 
+from tog_drake.errors import InputError
 from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import (
     FINGER_THICKNESS,
@@ -74,6 +75,11 @@ class AntipodalProposer:
     """
 
     def __init__(self, config: Antipodal, workspace: Workspace, seed: int):
+        if min(config.voxel, config.anchor_spacing, config.bin) <= 0 or config.yaws < 1:
+            raise InputError(
+                "proposer: voxel, anchor_spacing, bin must be above 0 [m], yaws at least 1; given: "
+                f"{config.voxel}, {config.anchor_spacing}, {config.bin} and {config.yaws}"
+            )
         self._config = config
         self._table = workspace.table_height
         self._seed = seed

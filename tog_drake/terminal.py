@@ -1,0 +1,53 @@
+"""How the command speaks: tables and lines for people, one JSON object for programs."""
+
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from tog_drake.record import EpisodeRecord
+
+
+def console_for(as_json: bool) -> Console:
+    """Where people read: stdout, or stderr when stdout is for one JSON object.
+
+    A task or a file name is printed as it is, whatever brackets or colons are in it.
+    """
+    return Console(stderr=as_json, markup=False, highlight=False, emoji=False)
+
+
+def say(console: Console, text: str) -> None:
+    """Prints one line as it is: a path or a command broken in two could not be copied."""
+    console.print(text, soft_wrap=True)
+
+
+def print_json(as_json: bool, content: Any) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(content) + "\n")
+
+
+def print_stages(console: Console, record: "EpisodeRecord") -> None:
+    """The short table: stage, how many, ms; then what came of it."""
+    from tog_drake.record import stage_rows
+
+    table = Table("stage", "how many", "ms", title=record["task"], title_justify="left")
+    table.columns[1].justify = table.columns[2].justify = "right"
+    for stage, count, seconds in stage_rows(record):
+        table.add_row(stage, count, f"{seconds * 1e3:.0f}")
+    console.print(table)
+    choice = record["choice"]
+    if choice is not None:
+        say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
+        if choice["status"] != "ok":
+            say(console, f"status: {choice['status']}")
+    held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
+    say(
+        console,
+        f"outcome: {record['outcome']}"
+        + (f"; held by {held}" if held else "")
+        + (f"; task compliance: {record['task_compliance']}" if held else "")
+        + (f" ({record['message']})" if record["message"] else ""),
+    )
