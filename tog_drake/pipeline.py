@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from tog_drake.camera import Camera
 from tog_drake.candidates import CandidatePicker, CandidatesConfig
@@ -93,8 +93,6 @@ class GraspPipeline(Diagram):
         - panda.position_measured
         - task
         output_ports:
-        - panda.position
-        - hand.position
         - view
         - cloud
         - grasps
@@ -102,6 +100,8 @@ class GraspPipeline(Diagram):
         - candidates
         - choice
         - motion
+        - panda.position
+        - hand.position
 
     Every stage's value is exported, to be inspected and timed. With ``!Oracle`` as selector there
     is one more input, ``cheat.query_object``, which only a simulation can feed.
@@ -118,53 +118,52 @@ class GraspPipeline(Diagram):
     ):
         super().__init__()
         _check_workspace(config.workspace)
-        builder = DiagramBuilder()
-
-        def add(system: System, name: str) -> System:
-            return builder.AddNamedSystem(name, system)
-
-        camera = add(Camera(intrinsics), "camera")
-        cloud = add(
-            SceneCloud(
+        self.executor = GraspExecutor(config.executor)
+        stages: dict[str, LeafSystem] = {
+            "camera": Camera(intrinsics),
+            "cloud": SceneCloud(
                 config.cloud,
                 config.workspace,
                 robot_spheres=lambda q: _spheres(planning_model, q),
             ),
-            "cloud",
-        )
-        proposer = add(GraspProposer(make_proposer(config, seed)), "proposer")
-        feasibility = add(
-            FeasibilityFilter(config.feasibility, config.workspace, planning_model), "feasibility"
-        )
-        candidates = add(CandidatePicker(config.candidates, seed=seed), "candidates")
-        selector = add(_make_selector_system(config, seed, ground_truth), "selector")
-        trajectory = add(
-            TrajectoryOptimizer(config.trajectory, planning_model, seed=seed), "trajectory"
-        )
-        self.executor: GraspExecutor = add(GraspExecutor(config.executor), "executor")
-
-        stages = (camera, cloud, proposer, feasibility, candidates, selector, trajectory)
-        outputs = {
-            name: stage.GetOutputPort(name) for name, stage in zip(STAGE_PORTS, stages, strict=True)
+            "proposer": GraspProposer(make_proposer(config, seed)),
+            "feasibility": FeasibilityFilter(config.feasibility, config.workspace, planning_model),
+            "candidates": CandidatePicker(config.candidates, seed=seed),
+            "selector": _make_selector_system(config, seed, ground_truth),
+            "trajectory": TrajectoryOptimizer(config.trajectory, planning_model, seed=seed),
+            "executor": self.executor,
         }
-        exported: dict[str, bool] = {}
-        for stage in (*stages, self.executor):
-            for i in range(stage.num_input_ports()):
-                port: InputPort = stage.get_input_port(i)
-                name = port.get_name()
-                if name in outputs:
-                    builder.Connect(outputs[name], port)
-                elif name in exported:
-                    builder.ConnectInput(name, port)
-                else:
-                    builder.ExportInput(port, name)
-                    exported[name] = True
-        for name, output in outputs.items():
-            builder.ExportOutput(output, name)
-        for name in ("panda.position", "hand.position"):
-            builder.ExportOutput(self.executor.GetOutputPort(name), name)
+        builder = DiagramBuilder()
+        for name, stage in stages.items():
+            builder.AddNamedSystem(name, stage)
+        _connect_by_name(builder, list(stages.values()))
         builder.BuildInto(self)
         self.set_name("pipeline")
+
+
+def _connect_by_name(builder: DiagramBuilder, stages: list[LeafSystem]) -> None:
+    """Connects every input to the output of the same name; those without one are exported.
+
+    All outputs are exported too, to be looked at.
+    """
+    outputs = {}
+    for stage in stages:
+        for i in range(stage.num_output_ports()):
+            output = stage.get_output_port(i)
+            outputs[output.get_name()] = output
+            builder.ExportOutput(output, output.get_name())
+    exported: set[str] = set()
+    for stage in stages:
+        for i in range(stage.num_input_ports()):
+            port = stage.get_input_port(i)
+            name = port.get_name()
+            if name in outputs:
+                builder.Connect(outputs[name], port)
+            elif name in exported:
+                builder.ConnectInput(name, port)
+            else:
+                builder.ExportInput(port, name)
+                exported.add(name)
 
 
 def _check_workspace(workspace: Workspace) -> None:
@@ -207,7 +206,7 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
 
 def _make_selector_system(
     config: PipelineConfig, seed: int, ground_truth: GroundTruth | None
-) -> System:
+) -> LeafSystem:
     if isinstance(config.selector, Oracle) and ground_truth is not None:
         return OracleSelector(ground_truth.labels, ground_truth.target)
     return GraspSelector(make_selector(config, seed))
