@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench lint eval clean
+.PHONY: demo test bench eval clean
 
 # Each stamp is an installation; it is redone when what it installs changes.
 $(VENV)/demo.stamp: pyproject.toml constraints.txt

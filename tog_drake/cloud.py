@@ -28,7 +28,7 @@ class CloudConfig:
     min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
     min_rise: float = 0.003  # [m] a cluster that rises less above the clearance is table, too
     max_gap: float = 0.010  # [m] points farther apart than this are not connected
-    robot_padding: float = 0.010  # [m] the robot's spheres are inflated by this
+    robot_padding: float = 0.015  # [m] the robot's spheres are inflated by this
     max_slope: float = 10.0  # depth change per width; a steeper ramp is no surface but its edge
 
 
