@@ -7,10 +7,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F, ImageRgba8U
 
 from tog_drake.errors import InputError
-from tog_drake.pinhole import project, unproject
 from tog_drake.values import Intrinsics, View
-
-__all__ = ["Camera", "project", "rendered_intrinsics", "unproject"]
 
 
 class Camera(LeafSystem):

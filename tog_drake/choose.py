@@ -10,6 +10,7 @@ import numpy as np
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
 from tog_drake.errors import EpisodeError, InputError, NoGrasp
+from tog_drake.pinhole import project
 from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
 from tog_drake.table import find_table
 from tog_drake.task import read_task
@@ -80,8 +81,6 @@ def grasps_record(decision: Decision) -> dict[str, Any]:
     X_CW = np.linalg.inv(decision.view.X_WC)
     rows = []
     if grasps is not None:
-        from tog_drake.pinhole import project
-
         pixels = project(grasps.p_WContact, decision.view.intrinsics, decision.view.X_WC)
         X_CG = X_CW @ grasps.X_WG
         p_C = grasps.p_WContact @ X_CW[:3, :3].T + X_CW[:3, 3]

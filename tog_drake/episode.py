@@ -118,7 +118,7 @@ def run_episode(
     if meshcat is not None:
         meshcat.StartRecording()
     simulator.Initialize()
-    simulator.AdvanceTo(scenario.pipeline.executor.look_time)
+    simulator.AdvanceTo(world.pipeline.executor.look_time)
     decision = decide(world.pipeline, context)
     if meshcat is not None:
         _draw(meshcat, decision, world)

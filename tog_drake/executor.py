@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import MAX_OPENING
 from tog_drake.values import Array, GraspMotion
 
@@ -17,7 +17,7 @@ from tog_drake.values import Array, GraspMotion
 class ExecutorConfig:
     """When the executor looks, and when it gives up."""
 
-    look_time: float = 1.0  # [s] pull the chain then; until then, stand still
+    look_time: float = 1.0  # [s] pull the chain at the first update from then on
     period: float = 0.01  # [s] of the executor's update
     max_tracking_error: float = 0.15  # [rad] measured against commanded; beyond it, stop
 
@@ -62,17 +62,23 @@ class GraspExecutor(LeafSystem):
     simulator that chases real time bursts ahead; therefore the motion's start is stamped by the
     *next* update (READY), never by the one that planned. An error raised by a stage reaches the
     caller of ``AdvanceTo`` unchanged.
+
+    Raises:
+        NoPlan: in the update, if the motion does not start where the arm is: to command it would
+            be a jump.
     """
 
     def __init__(self, config: ExecutorConfig):
         super().__init__()
-        if config.period <= 0 or config.look_time < 0 or config.max_tracking_error <= 0:
+        # At time 0 it would look while the simulator initializes, before anybody else can.
+        if min(config.period, config.look_time, config.max_tracking_error) <= 0:
             raise InputError(
-                f"executor: period ({config.period}) and max_tracking_error "
-                f"({config.max_tracking_error}) must be above 0, look_time ({config.look_time}) "
-                "must not be below"
+                f"executor: period ({config.period}), look_time ({config.look_time}) and "
+                f"max_tracking_error ({config.max_tracking_error}) must be above 0"
             )
         self._config = config
+        # Updates come at whole multiples of the period; in floating point, exactly at these.
+        self._look_time = float(np.ceil(config.look_time / config.period - 1e-9) * config.period)
         self._motion = self.DeclareAbstractInputPort("motion", Value(GraspMotion.still()))
         self._measured = self.DeclareVectorInputPort("panda.position_measured", 7)
         self._state = self.DeclareAbstractState(Value(ExecutorState()))
@@ -93,8 +99,11 @@ class GraspExecutor(LeafSystem):
 
     @property
     def look_time(self) -> float:
-        """When the chain is pulled [s]."""
-        return self._config.look_time
+        """When the chain is pulled [s]: the time of an update, to the last digit.
+
+        Who evaluates a stage at this very time sees the value that will be executed.
+        """
+        return self._look_time
 
     def state(self, context: Context) -> ExecutorState:
         """Returns what the executor remembers in its own ``context``."""
@@ -113,8 +122,9 @@ class GraspExecutor(LeafSystem):
         t = context.get_time()
         if s.q_hold is None:
             s = replace(s, q_hold=self._measured.Eval(context).copy())
-        if s.phase is Phase.OBSERVE and t >= self._config.look_time:
+        if s.phase is Phase.OBSERVE and t >= self._look_time:
             motion = deepcopy(self._motion.Eval(context))
+            self._require_start(motion, self._measured.Eval(context))
             return replace(
                 s,
                 phase=Phase.READY,
@@ -128,15 +138,25 @@ class GraspExecutor(LeafSystem):
             return self._watch(s, t, self._measured.Eval(context))
         return s
 
+    def _require_start(self, motion: GraspMotion, q_measured: Array) -> None:
+        away = np.abs(motion.arm.value(0.0).ravel() - q_measured).max()
+        if not away <= self._config.max_tracking_error:  # NaN is not, either
+            raise NoPlan(
+                f"the motion starts {away:.3f} rad away from where the arm is; it is not executed: "
+                "plan from the measured posture"
+            )
+
     def _watch(self, s: ExecutorState, t: float, q_measured: Array) -> ExecutorState:
         """Ends the motion at its end, or where the arm no longer follows it."""
         assert s.motion is not None
         elapsed = min(t - s.start_time, s.motion.duration)
-        error = np.abs(s.motion.arm.value(elapsed).ravel() - q_measured).max()
-        if error > self._config.max_tracking_error:
+        commanded = s.motion.arm.value(elapsed).ravel()
+        if not np.abs(commanded - q_measured).max() <= self._config.max_tracking_error:
+            # Where a measurement is NaN, the command stays: NaN must never become one.
+            q_hold = np.where(np.isfinite(q_measured), q_measured, commanded)
             # The hand keeps what it holds; opening it would drop the object.
             opening = float(s.motion.hand.value(elapsed).item())
-            return replace(s, phase=Phase.FAILED, q_hold=q_measured.copy(), opening_hold=opening)
+            return replace(s, phase=Phase.FAILED, q_hold=q_hold, opening_hold=opening)
         if t - s.start_time >= s.motion.duration:
             end = s.motion.duration
             return replace(

@@ -1,4 +1,4 @@
-"""The Franka Panda: frames, limits, gripper geometry and the model that the robot plans with.
+"""The Franka Panda: frames, limits, gripper geometry and forward kinematics.
 
 Frames
 ------

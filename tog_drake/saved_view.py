@@ -114,7 +114,10 @@ def _read_color(path: Path) -> NDArray[np.uint8]:
 
     _check_file(path)
     try:
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        # As stored: a turn that its EXIF header asks for would part it from the depth image, and
+        # 16 bits must not be cut to 8 unseen.
+        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
+        image = cv2.imread(str(path), flags)
     except cv2.error as error:
         raise InputError(f"cannot read the colour image {path}: {error.err}") from error
     if image is None:
@@ -142,7 +145,7 @@ def _read_depth(path: Path, units_per_metre: float | None) -> NDArray[np.float32
             raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         except cv2.error as error:
             raise InputError(f"cannot read depth {path}: {error.err}") from error
-    if raw is None:
+    if not isinstance(raw, np.ndarray):  # None, or an archive of arrays under the name of one
         raise InputError(f"cannot read {path} as depth (16-bit PNG, or float32 NPY or TIFF)")
     if raw.ndim == 3 and raw.shape[2] == 1:
         raw = raw[..., 0]

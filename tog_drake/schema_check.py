@@ -97,7 +97,7 @@ def _check_scalar(schema: type, node: yaml.ScalarNode, where: str) -> None:
             return
         if schema is not bool and not isinstance(value, bool) and not isnan(schema(value)):
             return
-    except (ValueError, TypeError, yaml.YAMLError):
+    except (ValueError, TypeError, OverflowError, yaml.YAMLError):
         pass
     kind = {int: "a whole number", float: "a number", bool: "true or false"}[schema]
     raise InputError(f"{where} must be {kind}, not {_shown(node)}")

@@ -75,7 +75,7 @@ def plan_motion(
     """
     q_approach, q_lift = _joint_paths(choice)
     _require_plausible(q_now)
-    limits = _limits(config, np.vstack([q_now, q_approach, q_lift]))
+    limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
     points = np.asarray(cloud.xyzs().T, dtype=float)
     opening = float(arrival_opening(choice.grasp.width)[0])
     scene = Scene(planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening)
@@ -128,8 +128,12 @@ def _require_plausible(q_now: Array) -> None:
         )
 
 
-def _limits(config: TrajectoryConfig, q: Array) -> JointLimits:
-    """The robot's limits at the configured speed, wide enough for the given q (N, 7)."""
+def _limits(config: TrajectoryConfig, q_now: Array, q_path: Array) -> JointLimits:
+    """The robot's limits at the configured speed.
+
+    The margin to the position limits gives way to ``q_now`` (7,) and ``q_path`` (N, 7); the limits
+    themselves do so to ``q_now`` alone, where the arm is already.
+    """
     if not 0 < config.speed <= 1:
         raise InputError(f"trajectory.speed is {config.speed}; valid: above 0, up to 1")
     if min(config.approach_speed, config.lift_speed, config.closing_speed) <= 0:
@@ -138,8 +142,10 @@ def _limits(config: TrajectoryConfig, q: Array) -> JointLimits:
         )
     if min(config.settle_time, config.hold_time) < 0:
         raise InputError("trajectory: settle_time and hold_time must not be below 0 [s]")
-    lower = np.minimum(Q_LOWER + config.position_margin, q.min(axis=0))
-    upper = np.maximum(Q_UPPER - config.position_margin, q.max(axis=0))
+    q = np.vstack([q_now, q_path])
+    lower, upper = Q_LOWER + config.position_margin, Q_UPPER - config.position_margin
+    lower = np.clip(q.min(axis=0), np.minimum(Q_LOWER, q_now), lower)
+    upper = np.clip(q.max(axis=0), upper, np.maximum(Q_UPPER, q_now))
     return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(config.speed)
 
 

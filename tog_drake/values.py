@@ -108,7 +108,7 @@ class Candidates:
 
     grasps: Grasps  # all N feasible grasps (a FeasibleGrasps where there is an arm)
     index: NDArray[np.int64]  # (K,) rows of ``grasps``, best confidence first
-    cluster: NDArray[np.int64]  # (N,) which candidate (0..K-1) each grasp is nearest to
+    cluster: NDArray[np.int64]  # (N,) whose cluster (0..K-1) each grasp is in
 
     def __len__(self) -> int:
         return len(self.index)

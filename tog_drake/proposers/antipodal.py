@@ -80,6 +80,11 @@ class AntipodalProposer:
                 "proposer: voxel, anchor_spacing, bin must be above 0 [m], yaws at least 1; given: "
                 f"{config.voxel}, {config.anchor_spacing}, {config.bin} and {config.yaws}"
             )
+        if not config.depths or not all(0 <= tilt < 90 for tilt in config.tilts_deg):
+            raise InputError(
+                "proposer: depths must hold at least one [m], tilts_deg must be from 0 to below "
+                f"90; given: {config.depths} and {config.tilts_deg}"
+            )
         self._config = config
         self._table = workspace.table_height
         self._seed = seed

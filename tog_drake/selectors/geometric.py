@@ -84,7 +84,7 @@ class GeometricSelector:
                 avoided = " and ".join(reading.avoid)
                 raise NoChoice(f"{target.how}; every grasp on it is on its {avoided}.")
             status, part = "no_grasp_on_part", None
-            how += f"; none of {fits.sum()} grasps on the object is there, so the nearest to it"
+            how += f"; none of {fits.sum()} grasps on the object is there, so the best elsewhere"
         value = held.value(wanted.mask, self._config.margin)
         index = int(np.argmax(np.where(fits, value, -1.0)))
         reason = f"{target.how}; {how}; best of {fits.sum()} grasps."
