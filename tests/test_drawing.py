@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tog_drake.panda import FINGERTIP_Z, GRASP_Z, PALM_Z
-from tog_drake.selectors.drawing import (
+from tog_drake.drawing import (
     CANDIDATE_COLORS,
     HOLE_COLOR,
     candidate_color,
@@ -19,6 +18,7 @@ from tog_drake.selectors.drawing import (
     hand_wireframe,
     project_segments,
 )
+from tog_drake.panda import FINGERTIP_Z, GRASP_Z, PALM_Z
 from tog_drake.values import Candidates, Choice, Grasps, Intrinsics, View
 
 GRAY = 128

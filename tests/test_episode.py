@@ -64,7 +64,7 @@ def _look(seed):
     world = build_world(scenario)
     simulator = Simulator(world.diagram)
     world.diagram.GetInputPort("task").FixValue(simulator.get_mutable_context(), "use the spoon")
-    simulator.AdvanceTo(scenario.pipeline.executor.look_time)
+    simulator.AdvanceTo(world.pipeline.executor.look_time)
     return decide(world.pipeline, simulator.get_context())
 
 
@@ -119,11 +119,23 @@ def test_an_object_can_be_named_by_what_it_is():
         ("executor: {period: 0}", r"period \(0.*must be above 0"),
         ("workspace: {lower: [1, 2]}", "three numbers each"),
         ("workspace: {lower: [1, 0, 0], upper: [0, 1, 1]}", "every lower below its upper"),
-        ("cloud: {voxel: 0}", r"cloud\.voxel is 0"),
+        ("cloud: {voxel: 0}", r"cloud: voxel \(0"),
         ("proposer: {yaws: 0}", "yaws at least 1"),
+        ("feasibility: {lift_points: 1}", "lift_points must be at least 2"),
         ("candidates: {k: 0}", "at least 1, or 'auto'"),
     ],
 )
 def test_senseless_settings_are_refused_before_the_simulation_starts(text, message):
     with pytest.raises(InputError, match=message):
         build_world(load_scenario("Hammer", f"pipeline: {{{text}}}"))
+
+
+def test_an_episode_that_could_never_succeed_is_refused():
+    scenario = load_scenario("Hammer", "pipeline: {trajectory: {hold_time: 0.5}}")
+    with pytest.raises(InputError, match=r"hold for 2\.0 s, but .* holds for 0\.5 s"):
+        run_episode(scenario, name="Hammer", task="use the hammer")
+
+
+def test_what_drake_refuses_in_a_scenario_is_wrong_input():
+    with pytest.raises(InputError, match=r"cannot be built.*panda_joint9"):
+        build_world(load_scenario("Hammer", "initial_position: {panda: {panda_joint9: 0.0}}"))

@@ -130,3 +130,32 @@ def test_nothing_feeds_through_from_the_motion_to_the_command():
     motion = executor.GetInputPort("motion").get_index()
     for name in ("panda.position", "hand.position"):
         assert not executor.HasDirectFeedthrough(motion, executor.GetOutputPort(name).get_index())
+
+
+def test_a_measurement_that_is_not_a_number_stops_the_motion_and_never_becomes_a_command():
+    config = ExecutorConfig(look_time=0.1, max_tracking_error=10)
+    simulator, executor, context, _, arm = _world(config)
+    simulator.AdvanceTo(0.3)
+    arm.position = np.full(7, np.nan)
+    simulator.AdvanceTo(0.5)
+    assert executor.state(context).phase is Phase.FAILED
+    assert np.isfinite(_commands(executor, context)[0]).all()
+
+
+def test_a_motion_that_starts_elsewhere_is_not_executed():
+    simulator, _, _, _, arm = _world()
+    arm.offset = np.full(7, 0.5)
+    with pytest.raises(NoPlan, match=r"0\.500 rad away"):
+        simulator.AdvanceTo(0.5)
+
+
+@pytest.mark.parametrize(("look_time", "update"), [(0.57, 57), (1.005, 101), (1.15, 115)])
+def test_the_look_is_at_the_time_of_an_update(look_time, update):
+    config = ExecutorConfig(look_time=look_time, max_tracking_error=10)
+    simulator, executor, context, planner, _ = _world(config)
+    assert executor.look_time == update * 0.01
+    simulator.AdvanceTo(executor.look_time)
+    assert planner.calls == 0
+    simulator.AdvanceTo(executor.look_time + 0.005)
+    assert executor.state(context).phase is Phase.READY
+    assert planner.calls == 1

@@ -61,6 +61,10 @@ def _write_camera(files, **changes):
 BAD = {
     "no rgb": (lambda f: f["rgb"].unlink(), "there is no file"),
     "rgb is text": (lambda f: f["rgb"].write_text("hello"), "as a colour image"),
+    "rgb has 16 bits": (
+        lambda f: cv2.imwrite(str(f["rgb"]), np.full((48, 64), 40000, np.uint16)),
+        "8 bits a channel",
+    ),
     "depth is text": (lambda f: f["depth"].write_text("hello"), "as depth"),
     "all holes": (lambda f: _write_depth(f, np.zeros((48, 64), np.uint16)), "all holes"),
     "sizes differ": (

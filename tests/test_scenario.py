@@ -71,6 +71,7 @@ def test_tags_choose_alternatives_also_where_there_is_only_one():
         ("robot: !Kuka {}", r"unknown tag !Kuka; valid: !Primitives, !DrakeModels"),
         ("random_seed: -3", r"random_seed must not be below 0, not -3"),
         ("pipeline: {executor: {period: .nan}}", r"period must be a number, not '\.nan'"),
+        ("random_seed: .inf", r"random_seed must be a whole number, not '\.inf'"),
         ("random_seed: many", r"random_seed must be a whole number, not 'many'"),
         ("pipeline: 3", r"pipeline must be a mapping of fields, not '3'"),
         ("directives: {}", r"directives must be a list, not a mapping"),

@@ -16,8 +16,8 @@ from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, 
 from tog_drake.panda_ik import follow_path, inverse_kinematics
 from tog_drake.path_planning import straight_line
 from tog_drake.planning_model import MakePlanningModel
-from tog_drake.timing import SplineConfig, rest_to_rest
-from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer, plan_motion
+from tog_drake.time_parameterization import SplineConfig, rest_to_rest
+from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer, _limits, plan_motion
 from tog_drake.values import Choice, FeasibleGrasps
 
 Q_LOOK = np.array([0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853])
@@ -327,3 +327,11 @@ def test_an_error_reaches_the_caller_as_it_was_raised():
     system.GetInputPort("panda.position_measured").FixValue(context, Q_LOOK)
     with pytest.raises(NoPlan, match="one row of FeasibleGrasps"):
         system.GetOutputPort("motion").Eval(context)
+
+
+def test_no_path_widens_the_limits_of_the_robot():
+    q_now = np.array([0.0, 0.0, 0.0, -1.5, 0.0, 1.5, 0.0])
+    outside = np.stack([Q_LOWER - 1, Q_UPPER + 1])
+    limits = _limits(TrajectoryConfig(), q_now, outside)
+    np.testing.assert_array_equal(limits.lower, Q_LOWER)
+    np.testing.assert_array_equal(limits.upper, Q_UPPER)

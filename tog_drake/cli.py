@@ -161,10 +161,10 @@ def choose(
 ) -> None:
     """Choose a grasp on a saved view. Exit 0: chosen; 1: not, see the outcome; 2: bad input."""
     from tog_drake.choose import choose_on_view, grasps_record
+    from tog_drake.drawing import decision_image, encode_png
     from tog_drake.files import write_atomically
     from tog_drake.record import new_record
     from tog_drake.saved_view import load_pose, load_view
-    from tog_drake.selectors.drawing import decision_image, encode_png
 
     console = console_for(as_json)
     check_folder(out)
@@ -198,6 +198,7 @@ def evaluate_(
     from tog_drake.evaluation import evaluate, summarize
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import SELECTORS
+    from tog_drake.selectors.oracle import ORACLE_NOTE
 
     console = console_for(as_json)
     check_folder(out)
@@ -212,7 +213,9 @@ def evaluate_(
     for row in rows:
         table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
     console.print(table)
-    print_json(as_json, {"rows": rows})
+    if "oracle" in chosen:
+        say(console, f"oracle: {ORACLE_NOTE}")
+    print_json(as_json, {"rows": rows, "oracle": ORACLE_NOTE})
 
 
 @app.command(epilog=_epilog("tog scenarios"))
@@ -301,8 +304,7 @@ def main() -> None:
         if isinstance(error.code, str):  # so ends Drake where a condition of it does not hold
             _fail(error, 2, debug)
         raise
-    except (TogError, OSError, RuntimeError) as error:
-        # With a RuntimeError Drake refuses what a scenario says, such as a joint that is not there.
+    except (TogError, OSError) as error:
         _fail(error, 2, debug)
     except Exception as error:
         _fail(error, 3, debug)
@@ -389,10 +391,12 @@ def _override(
     from tog_drake.candidates import candidate_counts
     from tog_drake.pipeline import PROPOSERS, SELECTORS
 
+    # The scenario's settings of the same kind stay.
     if selector is not None:
-        config.selector = _valid(selector, SELECTORS, "selector")()
+        kind = _valid(selector, SELECTORS, "selector")
+        config.selector = config.selector if isinstance(config.selector, kind) else kind()
     if proposer is not None:
-        config.proposer = _valid(proposer, PROPOSERS, "proposer")()
+        _valid(proposer, PROPOSERS, "proposer")
     if k is not None:
         config.candidates.k = k
         candidate_counts(config.candidates)  # a wrong K is refused before anything starts

@@ -22,7 +22,8 @@ Spheres = tuple[Array, Array]
 class CloudConfig:
     """How a view becomes a cloud."""
 
-    voxel: float = 0.003  # [m] one point is kept per cube of this edge: the mean of its points
+    voxel: float = 0.003  # [m] one point is kept per cube of this edge: the mean of its points. The
+    # geometric selector counts points and expects about this spacing.
     table_clearance: float = 0.004  # [m] what lies lower above the table top counts as table
     normal_neighbors: int = 16  # points that a normal is fitted to
     min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
@@ -59,8 +60,11 @@ class SceneCloud(LeafSystem):
         robot_spheres: Callable[[Array], Spheres] | None = None,
     ):
         super().__init__()
-        if config.voxel <= 0:
-            raise InputError(f"cloud.voxel is {config.voxel}; valid: above 0 [m]")
+        if config.voxel <= 0 or config.normal_neighbors < 3:
+            raise InputError(
+                f"cloud: voxel ({config.voxel}) must be above 0 [m], normal_neighbors "
+                f"({config.normal_neighbors}) at least 3"
+            )
         self._config = config
         self._workspace = workspace
         self._robot_spheres = robot_spheres

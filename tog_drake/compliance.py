@@ -1,7 +1,7 @@
-"""Which part is held, and whether the task allows it: the judge.
+"""The labelled parts of objects: which one is held, and whether the task allows it.
 
-This module and the oracle are the only ones that read simulated ground truth (the labelled
-geometry of the objects). Nothing here reaches any other selector.
+Part labels are simulated ground truth. Only the judge of an episode (``judge.py``) and the oracle
+use this module; nothing here reaches any other selector.
 """
 
 from dataclasses import dataclass

@@ -11,7 +11,7 @@ from tog_drake.camera import rendered_intrinsics
 from tog_drake.compliance import ObjectParts, PartLabels, load_parts
 from tog_drake.errors import InputError
 from tog_drake.executor import Phase
-from tog_drake.judge import Judge
+from tog_drake.judge import HOLD, LIFT, Judge
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import EpisodeRecord, new_record
@@ -71,9 +71,14 @@ def build_world(
             f"pipeline.camera: the scenario has no camera {camera!r}; valid: {', '.join(cameras)}"
         )
     color, _ = cameras[camera].MakeCameras()
-    station = SimulationStation(scenario, meshcat)
+    try:
+        station = SimulationStation(scenario, meshcat)
+        planning_model = MakePlanningModel(
+            [robot_directive(scenario), *scenario.planning_directives]
+        )
+    except RuntimeError as error:  # so Drake refuses a joint, frame, file or setting
+        raise InputError(f"the scenario cannot be built: {error}") from error
     labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
-    planning_model = MakePlanningModel([robot_directive(scenario), *scenario.planning_directives])
     pipeline = GraspPipeline(
         scenario.pipeline,
         intrinsics=rendered_intrinsics(color.core().intrinsics()),
@@ -110,6 +115,7 @@ def run_episode(
     Raises:
         InputError: if the scenario or the task cannot be used.
     """
+    _check_success_is_possible(scenario)
     world = build_world(scenario, target=target, meshcat=meshcat)
     simulator = Simulator(world.diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
@@ -137,6 +143,16 @@ def run_episode(
     record["sim"]["seconds"] = context.get_time()
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context())
     return Episode(record, decision, replay)
+
+
+def _check_success_is_possible(scenario: Scenario) -> None:
+    pipeline = scenario.pipeline
+    if pipeline.trajectory.hold_time < HOLD or pipeline.feasibility.lift_height < LIFT:
+        raise InputError(
+            f"success is to lift by {LIFT} m and to hold for {HOLD} s, but the scenario lifts by "
+            f"{pipeline.feasibility.lift_height} m (feasibility.lift_height) and holds for "
+            f"{pipeline.trajectory.hold_time} s (trajectory.hold_time)"
+        )
 
 
 def _execute(simulator: Simulator, world: World, task: str, record: EpisodeRecord) -> None:

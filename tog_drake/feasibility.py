@@ -13,9 +13,9 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.distance_field import DistanceField
-from tog_drake.errors import NoFeasibleGrasp, NoGrasp
-from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
-from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, arrival_opening
+from tog_drake.errors import InputError, NoFeasibleGrasp, NoGrasp
+from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
+from tog_drake.panda import FINGER_BODIES, MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, arrival_opening
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
@@ -35,7 +35,7 @@ REASONS = {
 """What a grasp can fail on, in the order of the tests, and how to say it."""
 
 _TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(len(REASONS) + 1)
-_HAND_BODIES = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
+_HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
@@ -277,6 +277,14 @@ class FeasibilityFilter(LeafSystem):
         self, config: FeasibilityConfig, workspace: Workspace, planning_model: PlanningModel
     ):
         super().__init__()
+        if (
+            min(config.approach_points, config.lift_points) < 2
+            or min(config.q7_samples, config.attempts) < 1
+        ):
+            raise InputError(
+                "feasibility: approach_points and lift_points must be at least 2, q7_samples and "
+                "attempts at least 1"
+            )
         self._config = config
         self._table_height = workspace.table_height
         self._planning_model = planning_model

@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context
 
 from tog_drake.compliance import PartLabels, contact_forces
 from tog_drake.executor import ExecutorState, Phase
+from tog_drake.panda import FINGER_BODIES
 from tog_drake.planning_model import HAND, PANDA
 from tog_drake.stations.simulation import SimulationStation
 
@@ -53,9 +54,9 @@ class Judge:
         self._labels = labels
         self._target = target
         plant = station.plant
-        self._pads = _geometries(plant, HAND, ("panda_leftfinger", "panda_rightfinger"))
+        self._pads = _geometries(plant, HAND, FINGER_BODIES)
         self._robot = _geometries(plant, HAND) | _geometries(plant, PANDA)
-        self._objects = frozenset(labels.part_of)
+        self._known = self._robot | _anchored(plant)
         self._body = plant.get_body(plant.GetBodyIndices(plant.GetModelInstanceByName(target))[0])
         self._height_before: float | None = None
         self.samples: list[Sample] = []
@@ -87,7 +88,7 @@ class Judge:
         pair = {a, b}
         if pair <= self._pads:
             return False  # the fingers closed on nothing
-        return bool(pair & self._robot) and not pair & self._objects
+        return bool(pair & self._robot) and pair <= self._known
 
     def verdict(self, state: ExecutorState, task: str) -> Verdict:
         """Returns how the episode ended, from all samples."""
@@ -167,6 +168,15 @@ def _held_at_lift_off(
         for (model, part), force in sorted(sample.held.items(), key=lambda item: -item[1])
         if model == target
     }
+
+
+def _anchored(plant: MultibodyPlant) -> frozenset[GeometryId]:
+    """What cannot move: the world that the robot knows."""
+    return frozenset(
+        geometry
+        for body in plant.GetBodiesWeldedTo(plant.world_body())
+        for geometry in plant.GetCollisionGeometriesForBody(body)
+    )
 
 
 def _geometries(

@@ -46,6 +46,7 @@ PALM_Z = -0.0375  # [m] the palm's lower face, along z_G
 
 JOINT_NAMES = tuple(f"panda_joint{i}" for i in range(1, 8))
 FINGER_JOINT_NAMES = ("panda_finger_joint1", "panda_finger_joint2")
+FINGER_BODIES = ("panda_leftfinger", "panda_rightfinger")
 
 OPENING_MARGIN = 0.04  # [m] the hand arrives open this much wider than the grasp, if it can
 

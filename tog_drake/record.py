@@ -7,6 +7,7 @@ from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.pipeline import STAGE_SECONDS, Decision, PipelineConfig
+from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 
 SCHEMA = "tog_drake/episode/1"
 """Name and version; the number changes when a field changes its meaning or goes away."""
@@ -114,7 +115,8 @@ def new_record(
 def _kind_and_settings(config: Any) -> dict[str, Any]:
     """A tag such as TopScore becomes "top-score", as the command spells it."""
     kind = re.sub(r"(?<!^)(?=[A-Z])", "-", type(config).__name__).lower()
-    return {"kind": kind, **asdict(config)}
+    note = {"note": ORACLE_NOTE} if isinstance(config, Oracle) else {}
+    return {"kind": kind, **asdict(config), **note}
 
 
 def _choice_record(decision: Decision) -> ChoiceRecord | None:

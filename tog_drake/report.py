@@ -17,8 +17,8 @@ import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
+from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
-from tog_drake.selectors.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.values import GraspMotion, View
 
 # The stages in the order of the data: key in the record's ``seconds``, and what it says.

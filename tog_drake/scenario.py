@@ -216,10 +216,14 @@ def camera_configs(scenario: Scenario) -> dict[str, CameraConfig]:
 
 
 def model_files(scenario: Scenario) -> dict[str, Path]:
-    """Returns the file of each model that the scenario's own directives add, by name."""
+    """Returns the file of each model that the scenario's own directives add, by name.
+
+    Raises:
+        InputError: if there is no such file or package.
+    """
     packages = make_package_map()
-    return {
-        d.add_model.name: Path(packages.ResolveUrl(d.add_model.file))
-        for d in scenario.directives
-        if d.add_model is not None
-    }
+    models = [d.add_model for d in scenario.directives if d.add_model is not None]
+    try:
+        return {model.name: Path(packages.ResolveUrl(model.file)) for model in models}
+    except RuntimeError as error:
+        raise InputError(f"a model of the scenario cannot be found: {error}") from error

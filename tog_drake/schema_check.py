@@ -7,7 +7,7 @@ in the file it was. This walks the same schema (dataclasses and Drake's bound st
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
-from math import isnan
+from math import isfinite
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -95,7 +95,7 @@ def _check_scalar(schema: type, node: yaml.ScalarNode, where: str) -> None:
         value = yaml.safe_load(node.value)
         if schema is bool and isinstance(value, bool):
             return
-        if schema is not bool and not isinstance(value, bool) and not isnan(schema(value)):
+        if schema is not bool and not isinstance(value, bool) and isfinite(schema(value)):
             return
     except (ValueError, TypeError, OverflowError, yaml.YAMLError):
         pass

@@ -7,12 +7,12 @@ from pathlib import Path
 from pydrake.geometry import Meshcat
 from rich.console import Console
 
+from tog_drake.drawing import decision_image
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
 from tog_drake.record import EpisodeRecord
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
-from tog_drake.selectors.drawing import decision_image
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.visualization import make_meshcat
 

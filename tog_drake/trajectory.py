@@ -9,13 +9,19 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Trajectory
 
-from tog_drake.clearance import Scene
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
+from tog_drake.obstacles import Obstacles
 from tog_drake.panda import A_MAX, J_MAX, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
-from tog_drake.timing import PEAK_SPEED, JointLimits, SplineConfig, optimize_spline, rest_to_rest
+from tog_drake.time_parameterization import (
+    PEAK_SPEED,
+    JointLimits,
+    SplineConfig,
+    optimize_spline,
+    rest_to_rest,
+)
 from tog_drake.values import Array, Choice, FeasibleGrasps, GraspMotion
 
 _RATES = ("velocity", "acceleration", "jerk")
@@ -78,16 +84,18 @@ def plan_motion(
     limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
     points = np.asarray(cloud.xyzs().T, dtype=float)
     opening = float(arrival_opening(choice.grasp.width)[0])
-    scene = Scene(planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening)
+    obstacles = Obstacles(
+        planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening
+    )
 
-    transfer, note = _transfer(q_now, q_approach[0], scene, limits, config, seed)
+    transfer, note = _transfer(q_now, q_approach[0], obstacles, limits, config, seed)
     t = transfer.end_time()
     approach = _straight(q_approach, config.approach_speed, planning_model, limits, t)
-    scene.check(approach, "the approach", config.check_step, with_hand=False)
+    obstacles.check(approach, "the approach", config.check_step, with_hand=False)
     t_close = approach.end_time()
     t_lift = t_close + (opening - config.closed) / config.closing_speed + config.settle_time
     lift = _straight(q_lift, config.lift_speed, planning_model, limits, t_lift)
-    scene.check(lift, "the lift", config.check_step, with_hand=False)
+    obstacles.check(lift, "the lift", config.check_step, with_hand=False)
     t_hold = lift.end_time()
     end = t_hold + config.hold_time
 
@@ -164,20 +172,20 @@ def _still(q: Array, start: float, end: float) -> Trajectory:
 def _transfer(
     q_now: Array,
     q_pregrasp: Array,
-    scene: Scene,
+    obstacles: Obstacles,
     limits: JointLimits,
     config: TrajectoryConfig,
     seed: int,
 ) -> tuple[Trajectory, str]:
     """Returns the way to the pregrasp, checked, and how it was found."""
-    scene.require_free(q_now, "the arm's present posture", "move the arm away by hand")
-    scene.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
+    obstacles.require_free(q_now, "the arm's present posture", "move the arm away by hand")
+    obstacles.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
     ends = np.stack([q_now, q_pregrasp])
     # Where an end itself is nearer to something, no more than that can be asked of the way.
-    clearance = min(config.clearance, float(scene.cloud_clearance(ends).min()) - _ROUNDING)
+    clearance = min(config.clearance, float(obstacles.cloud_clearance(ends).min()) - _ROUNDING)
 
     def count_free(q: Array) -> int:
-        return scene.count_free(q, clearance)
+        return obstacles.count_free(q, clearance)
 
     rng = np.random.default_rng(seed)
     step, path, failure = config.path_step, None, ""
@@ -192,9 +200,14 @@ def _transfer(
             path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
             path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
             spline = optimize_spline(
-                path, limits, scene.cloud_clearance_and_gradient, clearance, config.spline, leeway
+                path,
+                limits,
+                obstacles.cloud_clearance_and_gradient,
+                clearance,
+                config.spline,
+                leeway,
             )
-            scene.check(spline, "the way to the pregrasp", config.check_step)
+            obstacles.check(spline, "the way to the pregrasp", config.check_step)
             return spline, f"optimised, attempt {attempt + 1}"
         except NoPlan as error:
             if path is None:
@@ -202,7 +215,7 @@ def _transfer(
             failure = str(error)
     assert path is not None
     stops = _with_stops(corners(path), limits)
-    scene.check(stops, "the way to the pregrasp", config.check_step)
+    obstacles.check(stops, "the way to the pregrasp", config.check_step)
     return stops, f"with stops, since {config.attempts} attempts to optimise failed: {failure}"
 
 

@@ -53,7 +53,7 @@ class Workspace:
 
     lower: list[float] = field(default_factory=lambda: [0.25, -0.40, -0.05])  # [m] x, y, z
     upper: list[float] = field(default_factory=lambda: [0.80, 0.40, 0.40])  # [m] x, y, z
-    table_height: float = 0.0  # [m] z of the table top
+    table_height: float = 0.0  # [m] z of the table top; planning_directives put theirs there too
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams, Rgba, Sph
 from pydrake.math import RigidTransform
 from pydrake.perception import BaseField, Fields, PointCloud
 
-from tog_drake.panda import X_HG, forward_kinematics
-from tog_drake.selectors.drawing import (
+from tog_drake.drawing import (
     CANDIDATE_COLORS,
     candidate_color,
     choice_color,
     hand_wireframe,
 )
+from tog_drake.panda import X_HG, forward_kinematics
 from tog_drake.values import Array, Candidates, Choice, GraspMotion, Grasps
 
 DECISION = "/decision"  # everything that draw_decision draws is below this path

@@ -25,7 +25,7 @@ def looked():
     simulator = Simulator(world.diagram)
     context = simulator.get_mutable_context()
     world.diagram.GetInputPort("task").FixValue(context, TASK)
-    simulator.AdvanceTo(scenario.pipeline.executor.look_time)
+    simulator.AdvanceTo(world.pipeline.executor.look_time)
     measured = world.station.GetOutputPort("panda.position_measured")
     q = measured.Eval(world.station.GetMyContextFromRoot(context))
     return scenario.pipeline, world, simulator, decide(world.pipeline, context), q

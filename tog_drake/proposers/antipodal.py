@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydrake.perception import PointCloud
 
 from tog_drake.errors import InputError
-from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
+from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import (
     FINGER_THICKNESS,
     FINGERTIP_Z,

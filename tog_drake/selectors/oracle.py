@@ -16,6 +16,7 @@ from tog_drake.errors import NoChoice
 from tog_drake.selector import choose
 from tog_drake.values import Candidates, Choice, View
 
+ORACLE_NOTE = "reads simulated part labels: an upper bound, not a method"
 _SURE = 0.99  # share of the closing region that must lie on allowed parts
 
 

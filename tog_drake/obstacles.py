@@ -18,7 +18,7 @@ _NEAR = 0.05  # [m] bodies farther apart than this do not explain a collision
 
 
 @dataclass(frozen=True)
-class Scene:
+class Obstacles:
     """What the arm must not touch: itself, the known world, and what the camera saw."""
 
     planning_model: PlanningModel

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError, NoPlan
-from tog_drake.timing import JointLimits, SplineConfig, optimize_spline, rest_to_rest
+from tog_drake.time_parameterization import JointLimits, SplineConfig, optimize_spline, rest_to_rest
 
 ONES = np.ones(7)
 LIMITS = JointLimits(-3 * ONES, 3 * ONES, 2 * ONES, 10 * ONES, 5000 * ONES)

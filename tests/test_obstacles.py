@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydrake.trajectories import PiecewisePolynomial
 
-from tog_drake.clearance import Scene
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoPlan
+from tog_drake.obstacles import Obstacles
 from tog_drake.planning_model import MakePlanningModel
 
 Q_LOOK = np.array([0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853])
@@ -21,7 +21,7 @@ def planning_model():
 
 
 def scene(*points):
-    return Scene(planning_model(), DistanceField(np.reshape(points, (-1, 3))), opening=0.08)
+    return Obstacles(planning_model(), DistanceField(np.reshape(points, (-1, 3))), opening=0.08)
 
 
 def below_the_hand(distance):

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tog_drake.hand_clearance import hand_boxes, lowest_corner, points_inside
+from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import FINGERTIP_Z, gripper_boxes
 
 
