@@ -19,8 +19,11 @@ from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
 
 COMMANDS = typer.main.get_command(cli.app).commands
-OBJECTS = ["brush", "hammer", "mug", "screwdriver", "spatula", "spoon", "toydinosaur"]
-SCENARIOS = ["Brush", "Hammer", "Mug", "Screwdriver", "Spatula", "Spoon", "ToyDinosaur"]
+SCENARIOS = [
+    *("Axe", "Brush", "Hammer", "LotionBottle", "Muddler", "Mug", "Pot"),
+    *("Screwdriver", "Spatula", "Spoon", "ToyDinosaur", "Umbrella", "Whisk"),
+]
+OBJECTS = [name.lower() for name in SCENARIOS]
 STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
 
 

@@ -38,7 +38,21 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tog_drake.resources import make_package_map, resource_dir
 
-NAMES = ("brush", "hammer", "mug", "screwdriver", "spatula", "spoon", "toy_dinosaur")
+NAMES = (
+    "axe",
+    "brush",
+    "hammer",
+    "lotion_bottle",
+    "muddler",
+    "mug",
+    "pot",
+    "screwdriver",
+    "spatula",
+    "spoon",
+    "toy_dinosaur",
+    "umbrella",
+    "whisk",
+)
 MAX_HAND_WIDTH = 0.065  # [m] what a hand of 80 mm takes with room to spare
 
 
@@ -57,7 +71,7 @@ def load(*names: str) -> tuple[MultibodyPlant, SceneGraph, DiagramBuilder]:
     AddCompliantHydroelasticProperties(0.1, 5e7, table)
     AddContactMaterial(1.25, None, CoulombFriction(0.8, 0.8), table)
     plant.RegisterCollisionGeometry(
-        plant.world_body(), RigidTransform([0, 0, -0.05]), Box(6, 6, 0.1), "table", table
+        plant.world_body(), RigidTransform([0, 0, -0.05]), Box(8, 8, 0.1), "table", table
     )
     parser = Parser(plant)
     parser.package_map().AddMap(make_package_map())
@@ -209,11 +223,13 @@ def test_mass_and_inertia_fit_the_shape(name):
 def test_tools_balance_where_real_ones_do():
     x = {
         name: place(name).body.default_spatial_inertia().get_com()[0]
-        for name in ("hammer", "screwdriver", "mug")
+        for name in ("axe", "hammer", "screwdriver", "mug", "pot")
     }
+    assert 0.07 < x["axe"] < 0.10  # near the steel head (0.115), too
     assert 0.05 < x["hammer"] < 0.09  # near the steel head (0.115), not the middle (-0.002)
     assert -0.04 < x["screwdriver"] < -0.01  # in the thick handle (-0.105 .. 0.01)
     assert 0.0 < x["mug"] < 0.01  # the handle pulls it a little off the axis
+    assert 0.0 < x["pot"] < 0.02  # the long handle more, but not over the foot's edge (0.0295)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -231,7 +247,10 @@ def test_the_camera_sees_what_the_hand_touches(name):
                 assert min(d.distance for d in near if d.id_G in ids) < 0.002
 
 
-@pytest.mark.parametrize(("name", "inside"), [("mug", [0, 0, 0.045]), ("spoon", [0.088, 0, 0.018])])
+@pytest.mark.parametrize(
+    ("name", "inside"),
+    [("mug", [0, 0, 0.045]), ("pot", [0, 0, 0.030]), ("spoon", [0.088, 0, 0.018])],
+)
 def test_hollow_things_are_hollow(name, inside):
     _, _, query, collisions, _, _owners = place(name)
     ids = set(collisions)
@@ -260,7 +279,9 @@ def test_objects_come_to_rest_where_they_are_put():
     nominal = {}
     for i, name in enumerate(NAMES):
         body = plant.GetBodyByName("base", plant.GetModelInstanceByName(name))
-        X_WO = RigidTransform(RotationMatrix.MakeZRotation(yaws[i]), [0.5 * i - 1.5, 0.0, 0.0])
+        X_WO = RigidTransform(
+            RotationMatrix.MakeZRotation(yaws[i]), [0.5 * (i - len(NAMES) // 2), 0.0, 0.0]
+        )
         nominal[body] = X_WO
         plant.SetFreeBodyPose(context, body, RigidTransform([0, 0, 0.001]) @ X_WO)
     for t in (0.5, 1.0, 1.5):

@@ -31,7 +31,8 @@ def _pose(scenario):
 
 def test_every_object_has_a_scenario_that_loads():
     assert set(scenario_files()) >= {
-        "Hammer", "Mug", "Screwdriver", "Spoon", "Spatula", "Brush", "ToyDinosaur"
+        "Axe", "Brush", "Hammer", "LotionBottle", "Muddler", "Mug", "Pot", "Screwdriver",
+        "Spatula", "Spoon", "ToyDinosaur", "Umbrella", "Whisk"
     }  # fmt: skip
     for name in scenario_files():
         scenario = load_scenario(name)

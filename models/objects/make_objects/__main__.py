@@ -7,16 +7,36 @@ written by hand and stay as they are; a test asserts that they name the pieces.
 import sys
 from pathlib import Path
 
+from axe import AXE
 from brush import BRUSH
 from hammer import HAMMER
 from kit import write_thing
+from lotion_bottle import LOTION_BOTTLE
+from muddler import MUDDLER
 from mug import MUG
+from pot import POT
 from screwdriver import SCREWDRIVER
 from spatula import SPATULA
 from spoon import SPOON
 from toy_dinosaur import TOY_DINOSAUR
+from umbrella import UMBRELLA
+from whisk import WHISK
 
-THINGS = (BRUSH, HAMMER, MUG, SCREWDRIVER, SPATULA, SPOON, TOY_DINOSAUR)
+THINGS = (
+    AXE,
+    BRUSH,
+    HAMMER,
+    LOTION_BOTTLE,
+    MUDDLER,
+    MUG,
+    POT,
+    SCREWDRIVER,
+    SPATULA,
+    SPOON,
+    TOY_DINOSAUR,
+    UMBRELLA,
+    WHISK,
+)
 
 
 def main() -> None:
