@@ -16,7 +16,7 @@ class Rule:
 
 
 _NOUNS = {
-    Rule("tool", "head"): "hammer mallet axe racket tool fork whisk wrench plunger",
+    Rule("tool", "head"): "hammer mallet axe hatchet muddler racket tool fork whisk wrench plunger",
     Rule("tool", "blade"): "spatula turner cleaver shovel",
     Rule("tool", "bowl"): "spoon ladle scoop pan frypan skillet strainer",
     Rule("tool", "bristles"): "brush broom",
