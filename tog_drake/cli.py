@@ -37,7 +37,8 @@ DEMO_TASKS = {
 T = TypeVar("T")
 
 ScenarioOption = Annotated[
-    str | None, typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file.")
+    str | None,
+    typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file; by default Hammer."),
 ]
 ScenarioText = Annotated[
     str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
@@ -45,7 +46,9 @@ ScenarioText = Annotated[
 TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
 SelectorOption = Annotated[str | None, typer.Option(help="geometric | top-score | random | oracle")]
 ProposerOption = Annotated[str | None, typer.Option(help="antipodal")]
-KOption = Annotated[str | None, typer.Option(help="How many candidates: a number or auto.")]
+KOption = Annotated[
+    str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
+]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seeds everything random.")]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
@@ -194,7 +197,7 @@ def evaluate_(
     out: Annotated[Path, typer.Option(help="Folder for episodes.jsonl.")] = Path("out/eval"),
     as_json: JsonOption = False,
 ) -> None:
-    """Run every object, seed and task with each selector, and print the table of successes."""
+    """Run objects, seeds and tasks with each selector, and print the table of successes."""
     from tog_drake.evaluation import evaluate, summarize
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import SELECTORS

@@ -73,7 +73,7 @@ class GeometricSelector:
         grasps = _lowered(grasps, self._table)
         on_target = _on_target(grasps, points, target.mask)
         if not on_target.any():
-            raise NoChoice(f"{target.how}; none of {len(grasps)} feasible grasps is on it.")
+            raise NoChoice(f"{target.how}; none of {len(grasps)} grasps is on it.")
         wanted = _wanted(reading, points[target.mask])
         held = _Held(grasps, points[target.mask])
         fits = on_target & held.on(wanted.mask, self._config.min_on_part)

@@ -57,13 +57,16 @@ def find_target(
         ]
         return _by_colour(reading.colour, noun, points, rgb, things)
     if len(things) == 1:
-        return Target(things[0], "There is one object")
+        # Shape alone cannot tell that it is not what the task names, so the reason says it.
+        taken = f", taken for the {noun}" if noun else ""
+        return Target(things[0], f"There is one object{taken}")
     shaped = _shaped(noun, points, things)
     if len(shaped) == 1:
         return Target(shaped[0], f"Of {len(things)} objects the one with the shape of a {noun}")
+    alike = f"{len(shaped)} could be a {noun}" if shaped else f"no shape of a {noun} is known here"
     raise NoChoice(
         f"{len(things)} objects are in view and the task does not tell them apart"
-        + (f": {len(shaped)} could be a {noun}" if noun else "")
+        + (f": {alike}" if noun else "")
         + ". Name its colour, such as 'the red one'."
     )
 
