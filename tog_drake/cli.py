@@ -1,7 +1,6 @@
 """The command ``tog``. Heavy imports happen inside the subcommands: ``tog --help`` stays quick."""
 
 import json
-import logging
 import signal
 import sys
 import traceback
@@ -14,7 +13,7 @@ from rich.table import Table
 
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
-from tog_drake.terminal import console_for, print_json, print_stages, say
+from tog_drake.terminal import console_for, keep_drake_quiet, print_json, print_stages, say
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -82,8 +81,9 @@ def run(
 ) -> None:
     """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
     from tog_drake.episode import run_episode
+    from tog_drake.record import save_record
     from tog_drake.report import write_report
-    from tog_drake.showing import report_of, save_record, show_live
+    from tog_drake.showing import report_of, show_live
     from tog_drake.task import read_task
 
     console = console_for(as_json)
@@ -113,8 +113,9 @@ def demo(
 ) -> None:
     """One hammer, two tasks: held by the handle to use it, by the head to hand it over."""
     from tog_drake.episode import run_episode
+    from tog_drake.record import save_record
     from tog_drake.report import write_report
-    from tog_drake.showing import report_of, save_record
+    from tog_drake.showing import report_of
     from tog_drake.visualization import make_meshcat
 
     console = console_for(as_json=False)
@@ -166,7 +167,7 @@ def choose(
     from tog_drake.choose import choose_on_view, grasps_record
     from tog_drake.drawing import decision_image, encode_png
     from tog_drake.files import write_atomically
-    from tog_drake.record import new_record
+    from tog_drake.record import new_record, save_record
     from tog_drake.saved_view import load_pose, load_view
 
     console = console_for(as_json)
@@ -179,7 +180,7 @@ def choose(
     overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
-    write_atomically(out / "episode.json", json.dumps(record, indent=1))
+    save_record(out / "episode.json", record)
     print_stages(console, record)
     say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
     print_json(as_json, record)
@@ -294,8 +295,7 @@ def main() -> None:
     """Runs the command: wrong input ends in one line and exit status 2, Ctrl-C in status 130."""
     debug = "--debug" in sys.argv
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
-    # A filter, because Drake sets the level of its logger itself when it is imported.
-    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
+    keep_drake_quiet()
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGTERM, _interrupt)
     try:

@@ -1,6 +1,5 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
-import logging
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -15,6 +14,7 @@ from tog_drake.errors import InputError, TogError
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import load_scenario
+from tog_drake.terminal import keep_drake_quiet
 
 # What is asked for each intent that an object is labelled for; {} is what the object is.
 _TASKS = {"use": "use the {}", "handover": "hand me the {}"}
@@ -67,7 +67,7 @@ def evaluate(
 def _run_batch(cells: list[_Cell], workers: int) -> Iterator[EpisodeRecord]:
     """Runs some episodes in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
-    with ProcessPoolExecutor(workers, context, initializer=_keep_quiet) as pool:
+    with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
         try:
             yield from pool.map(_run, cells)
         except BrokenProcessPool as error:
@@ -78,10 +78,6 @@ def _run_batch(cells: list[_Cell], workers: int) -> Iterator[EpisodeRecord]:
             for process in active_children():
                 process.terminate()
             raise
-
-
-def _keep_quiet() -> None:
-    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
 
 
 def _tasks(scenario: str) -> list[str]:

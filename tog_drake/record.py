@@ -1,11 +1,14 @@
 """The record of an episode: the content of ``episode.json`` and of ``--json``."""
 
+import json
 import re
 from dataclasses import asdict
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
+from tog_drake.files import write_atomically
 from tog_drake.pipeline import STAGE_SECONDS, Decision, PipelineConfig
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 
@@ -158,3 +161,8 @@ def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float]]:
         count = counts.get(key)
         rows.append((stage, "" if count is None else f"{count} {noun}", time))
     return rows
+
+
+def save_record(path: Path, record: EpisodeRecord) -> None:
+    """Writes ``episode.json``, whole or not at all."""
+    write_atomically(path, json.dumps(record, indent=1) + "\n")

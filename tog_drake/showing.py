@@ -1,6 +1,5 @@
-"""What a run leaves to look at: the record, the report, a live or a static scene."""
+"""What a run leaves to look at: the report, a live or a static scene."""
 
-import json
 import time
 from pathlib import Path
 
@@ -10,7 +9,6 @@ from rich.console import Console
 from tog_drake.drawing import decision_image
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
-from tog_drake.record import EpisodeRecord
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation
@@ -22,11 +20,6 @@ def show_live(console: Console) -> Meshcat:
     meshcat = make_meshcat()
     console.print(f"live: {meshcat.web_url()}")
     return meshcat
-
-
-def save_record(path: Path, record: EpisodeRecord) -> None:
-    """Writes ``episode.json``, whole or not at all."""
-    write_atomically(path, json.dumps(record, indent=1) + "\n")
 
 
 def report_of(episode: Episode) -> EpisodeReport:

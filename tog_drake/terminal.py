@@ -1,6 +1,7 @@
 """How the command speaks: tables and lines for people, one JSON object for programs."""
 
 import json
+import logging
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,14 @@ from rich.table import Table
 
 if TYPE_CHECKING:
     from tog_drake.record import EpisodeRecord
+
+
+def keep_drake_quiet() -> None:
+    """Keeps Drake's notices off stderr, but not its warnings.
+
+    By a filter, because Drake sets the level of its logger itself when it is imported.
+    """
+    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
 
 
 def console_for(as_json: bool) -> Console:

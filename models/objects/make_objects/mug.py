@@ -1,9 +1,10 @@
 """A small stoneware mug."""
 
 import numpy as np
-from kit import Material, Piece, Thing, ellipse, hull, loft, octagon, ring, sweep
+from kit import Material, Piece, Thing, hull, loft, octagon, sweep
 from pydrake.geometry import Cylinder
 from scipy.interpolate import CubicSpline
+from vessel import circle, wall_and_bottom
 
 from tog_drake.values import Array
 
@@ -13,21 +14,6 @@ GLAZE = Material((0.95, 0.93, 0.88))
 RADIUS, WALL, HEIGHT = 0.032, 0.0038, 0.082
 INNER = RADIUS - WALL
 FOOT = 0.0305  # radius on the table
-SEGMENTS = 12  # flat wall segments that take the contact
-# Flat segments cut the corner; this much wider, they touch where the round wall is seen.
-WIDER = 1.017
-
-
-def circle(radius: float, z: float) -> Array:
-    """A ring of the cup as it is seen."""
-    return ring(ellipse(radius, radius, 48), "z", z)
-
-
-def corners(radius: float, z: float) -> Array:
-    """The corners between wall segments; segment i lies between corners i and i + 1."""
-    return ring(ellipse(radius, radius, SEGMENTS, phase=-0.5), "z", z)
-
-
 # The outline from the foot up the outside, over the rim and down to the bottom inside.
 CUP = loft(
     [
@@ -44,13 +30,6 @@ CUP = loft(
         circle(0.020, 0.006),
     ]
 )
-
-
-def wall(i: int) -> Piece:
-    """Segment ``i`` of the wall, for contact."""
-    rings = [corners(r * WIDER, z) for r in (RADIUS, INNER) for z in (0.001, HEIGHT)]
-    segment = hull(*(r[[i, (i + 1) % SEGMENTS]] for r in rings))
-    return Piece(f"wall_{i:02d}", segment, drawn=False)
 
 
 def handle_rings() -> list[Array]:
@@ -93,8 +72,7 @@ taken around the body, at the rim, or by the handle.
         Piece("cup", CUP, STONEWARE, solid=False),
         Piece("handle", loft(RINGS), STONEWARE, solid=False),
         Piece("inside", Cylinder(INNER - 0.0022, 0.0006), GLAZE, (0, 0, 0.0062), solid=False),
-        Piece("bottom", hull(corners(FOOT, 0.0), corners(FOOT, 0.006)), drawn=False),
-        *(wall(i) for i in range(SEGMENTS)),
+        *wall_and_bottom(RADIUS, INNER, HEIGHT, FOOT, 0.006),
         *(handle(i) for i in range(len(CUTS) - 1)),
     ],
 )

@@ -1,10 +1,9 @@
 """A small saucepan."""
 
 import numpy as np
-from kit import Material, Piece, Thing, bar, ellipse, hull, loft, ring
+from kit import Material, Piece, Thing, bar, hull, loft
 from pydrake.geometry import Cylinder
-
-from tog_drake.values import Array
+from vessel import circle, wall_and_bottom
 
 STEEL = Material((0.74, 0.75, 0.78))  # drawn thicker than it is: the pan states its mass
 SHADE = Material((0.46, 0.47, 0.50))
@@ -14,21 +13,6 @@ BAKELITE = Material((0.06, 0.06, 0.07), 900)  # with a hole for the tang
 RADIUS, WALL, HEIGHT = 0.0315, 0.0030, 0.052
 INNER = RADIUS - WALL
 FOOT = 0.0295  # radius on the table
-SEGMENTS = 12  # flat wall segments that take the contact
-# Flat segments cut the corner; this much wider, they touch where the round wall is seen.
-WIDER = 1.017
-
-
-def circle(radius: float, z: float) -> Array:
-    """A ring of the pan as it is seen."""
-    return ring(ellipse(radius, radius, 48), "z", z)
-
-
-def corners(radius: float, z: float) -> Array:
-    """The corners between wall segments; segment i lies between corners i and i + 1."""
-    return ring(ellipse(radius, radius, SEGMENTS, phase=-0.5), "z", z)
-
-
 # The outline from the foot up the outside, over the flared rim and down to the bottom inside.
 PAN = loft(
     [
@@ -45,13 +29,6 @@ PAN = loft(
         circle(0.020, 0.004),
     ]
 )
-
-
-def wall(i: int) -> Piece:
-    """Segment ``i`` of the wall, for contact."""
-    rings = [corners(r * WIDER, z) for r in (RADIUS, INNER) for z in (0.001, HEIGHT)]
-    segment = hull(*(r[[i, (i + 1) % SEGMENTS]] for r in rings))
-    return Piece(f"wall_{i:02d}", segment, drawn=False)
 
 
 BRACKET = (bar(0.0300, 0.0390, 0.022, 0.010, 0.002), bar(0.0480, 0.0415, 0.014, 0.010, 0.002))
@@ -77,8 +54,7 @@ could be held by its body only at the rim, this one across it, too.
     [
         Piece("pan", PAN, STEEL, mass=0.112, solid=False),
         Piece("inside", Cylinder(INNER - 0.0022, 0.0006), SHADE, (0, 0, 0.0042), solid=False),
-        Piece("bottom", hull(corners(FOOT, 0.0), corners(FOOT, 0.004)), drawn=False),
-        *(wall(i) for i in range(SEGMENTS)),
+        *wall_and_bottom(RADIUS, INNER, HEIGHT, FOOT, 0.004),
         Piece("bracket", hull(*BRACKET), RIVET),
         Piece("handle", loft(HANDLE), BAKELITE, solid=False),
         Piece("handle_front", hull(*HANDLE[0:2]), drawn=False),
