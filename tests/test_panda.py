@@ -366,3 +366,13 @@ def set_gains(plant: MultibodyPlant) -> None:
         gain = p.get(actuator.joint().name(), 3000)
         damping = 1.6 * gain**0.5 if actuator.joint().name() in p else 60
         actuator.set_controller_gains(PdControllerGains(p=gain, d=damping))
+
+
+def test_grasps_are_apart_by_place_and_turn_and_half_a_turn_about_z_is_none():
+    turn = AngleAxis(0.3, np.array([1.0, 0.0, 0.0])).rotation()
+    X_WG = np.tile(np.eye(4), (4, 1, 1))
+    X_WG[:, :3, :3] = [np.eye(3), np.diag([-1.0, -1.0, 1.0]), turn, turn @ np.diag([-1, -1, 1])]
+    X_WG[:, 0, 3] = [0.0, 0.1, 0.2, 0.0]
+    place, angle = panda.grasps_apart(X_WG, X_WG[0])
+    np.testing.assert_allclose(place, [0.0, 0.1, 0.2, 0.0])
+    np.testing.assert_allclose(angle, [0.0, 0.0, 0.3, 0.3], atol=1e-7)

@@ -1,6 +1,8 @@
 """Whole motions, on clouds made by hand: clear, inside the limits, at rest where it counts."""
 
+import re
 from copy import deepcopy
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +20,7 @@ from tog_drake.path_planning import straight_line
 from tog_drake.planning_model import MakePlanningModel
 from tog_drake.time_parameterization import SplineConfig, rest_to_rest
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer, _limits, plan_motion
-from tog_drake.values import Choice, FeasibleGrasps
+from tog_drake.values import Candidates, Choice, FeasibleGrasps
 
 Q_LOOK = np.array([0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853])
 Q_SIDE = Q_LOOK + np.array([-0.9, 0.7, 0, 0.4, 0, 0, 0])  # low, on the right
@@ -37,13 +39,12 @@ def straight(X_from, offset, count):
     return X
 
 
-@cache
-def choice():
-    """A grasp from above, 3 cm wide, of a block on the left."""
+def grasp_from_above(x, y):
+    """A grasp from above, 3 cm wide, 4 cm above the table."""
     X_WG = np.diag([1.0, -1.0, -1.0, 1.0])
-    X_WG[:3, 3] = 0.5, 0.2, 0.04
+    X_WG[:3, 3] = x, y, 0.04
     X_WH = X_WG @ np.linalg.inv(X_HG)
-    q = inverse_kinematics(X_WH[None], np.array([0.785 + np.arctan2(0.2, 0.5)])).reshape(-1, 7)
+    q = inverse_kinematics(X_WH[None], np.array([0.785 + np.arctan2(y, x)])).reshape(-1, 7)
     q = q[np.isfinite(q).all(axis=1) & (q > Q_LOWER).all(axis=1) & (q < Q_UPPER).all(axis=1)]
     q_grasp = q[np.argmin(np.abs(q - Q_LOOK).max(axis=1))]
     up = np.array([0.0, 0.0, 1.0])
@@ -52,7 +53,7 @@ def choice():
     )
     assert np.isfinite(q_retreat).all()
     assert np.isfinite(q_lift).all()
-    grasp = FeasibleGrasps(
+    return FeasibleGrasps(
         X_WG=X_WG[None],
         width=np.array([0.03]),
         score=np.ones(1),
@@ -60,7 +61,27 @@ def choice():
         q_approach=q_retreat[:, ::-1],
         q_lift=q_lift,
     )
-    return Choice(index=0, grasp=grasp, reason="the only one")
+
+
+def candidates_of(*grasps):
+    """Single grasps as candidates, all in one cluster."""
+    rows = {
+        name: np.concatenate([getattr(grasp, name) for grasp in grasps])
+        for name in ("X_WG", "width", "score", "p_WContact", "q_approach", "q_lift")
+    }
+    count = np.arange(len(grasps))
+    return Candidates(FeasibleGrasps(**rows), count, np.zeros_like(count))
+
+
+@cache
+def candidates():
+    """One grasp, of a block on the left."""
+    return candidates_of(grasp_from_above(0.5, 0.2))
+
+
+@cache
+def choice():
+    return Choice(index=0, grasp=candidates().grasps, reason="the only one")
 
 
 def block(lower, upper):
@@ -82,8 +103,10 @@ EASY = make_cloud(TARGET)
 OVER_A_WALL = make_cloud(TARGET, WALL)
 
 
-def plan(q_now=Q_SIDE, cloud=OVER_A_WALL, config=CONFIG, seed=0, chosen=None):
-    return plan_motion(chosen or choice(), q_now, cloud, planning_model(), config, seed)
+def plan(q_now=Q_SIDE, cloud=OVER_A_WALL, config=CONFIG, seed=0, chosen=None, among=None):
+    return plan_motion(
+        chosen or choice(), among or candidates(), q_now, cloud, planning_model(), config, seed
+    )
 
 
 @cache
@@ -203,7 +226,7 @@ def test_the_hand_is_open_until_the_grasp_and_closed_beyond_contact_before_the_l
 
 def test_a_wide_grasp_opens_the_hand_no_wider_than_it_can():
     wide = FeasibleGrasps(**{**vars(choice().grasp), "width": np.array([0.06])})
-    motion = plan(Q_LOOK, EASY, chosen=Choice(0, wide, ""))
+    motion = plan(Q_LOOK, EASY, among=candidates_of(wide))
     assert motion.hand.value(0.0).item() == MAX_OPENING
 
 
@@ -235,11 +258,34 @@ def test_where_no_spline_is_found_the_arm_stops_at_the_corners_of_the_path_and_s
     deepcopy(motion).arm.value(1.0)
 
 
-def test_a_blocked_pregrasp_is_named():
+def blocked_pregrasp():
+    """Something where the palm would be before the grasp of ``choice``."""
     p = planning_model().X_WG(choice().grasp.q_pregrasp)[0, :3, 3]
-    blocked = make_cloud(
-        TARGET, block(p + np.array([-0.05, -0.05, 0.05]), p + np.array([0.05, 0.05, 0.1]))
-    )
+    return block(p + np.array([-0.05, -0.05, 0.05]), p + np.array([0.05, 0.05, 0.1]))
+
+
+def test_the_first_alternative_that_has_a_motion_is_taken_and_why_is_said():
+    among = candidates_of(*(grasp_from_above(0.5, y) for y in (0.2, 0.22, -0.1, -0.2)))
+    chosen = replace(choice(), alternatives=(1, 2, 3))
+    blocked = make_cloud(TARGET, blocked_pregrasp())
+    motion = plan(Q_LOOK, blocked, chosen=chosen, among=among)
+    assert motion.grasp_index == 2
+    reasons = r"optimised, attempt 1, in place of grasp 0: .* not free.*; grasp 1: .* not free"
+    assert re.match(reasons, motion.note)
+    at_the_grasp = motion.arm.value(motion.phase_times["close"]).ravel()
+    np.testing.assert_allclose(at_the_grasp, among.grasps.q_grasp[2])
+    assert plan(Q_LOOK, EASY, chosen=chosen, among=among).grasp_index == 0
+
+
+def test_where_no_alternative_has_a_motion_every_reason_is_said():
+    among = candidates_of(grasp_from_above(0.5, 0.2), grasp_from_above(0.5, 0.21))
+    chosen = replace(choice(), alternatives=(1,))
+    with pytest.raises(NoPlan, match=r"grasp 0: the pregrasp.*; grasp 1: the pregrasp"):
+        plan(Q_LOOK, make_cloud(TARGET, blocked_pregrasp()), chosen=chosen, among=among)
+
+
+def test_a_blocked_pregrasp_is_named():
+    blocked = make_cloud(TARGET, blocked_pregrasp())
     with pytest.raises(NoPlan, match=r"the pregrasp posture is not free: panda_hand .* by .* mm"):
         plan(Q_LOOK, blocked)
 
@@ -306,6 +352,7 @@ def test_the_system_plans_once_per_change_of_an_input(monkeypatch):
     system = TrajectoryOptimizer(CONFIG, planning_model(), seed=3)
     context = system.CreateDefaultContext()
     system.GetInputPort("choice").FixValue(context, Value(choice()))
+    system.GetInputPort("candidates").FixValue(context, Value(candidates()))
     system.GetInputPort("cloud").FixValue(context, Value(EASY))
     position = system.GetInputPort("panda.position_measured")
     position.FixValue(context, Q_LOOK)
@@ -323,9 +370,10 @@ def test_an_error_reaches_the_caller_as_it_was_raised():
     system = TrajectoryOptimizer(CONFIG, planning_model(), seed=0)
     context = system.CreateDefaultContext()
     system.GetInputPort("choice").FixValue(context, Value(Choice.none()))
+    system.GetInputPort("candidates").FixValue(context, Value(Candidates.empty()))
     system.GetInputPort("cloud").FixValue(context, Value(EASY))
     system.GetInputPort("panda.position_measured").FixValue(context, Q_LOOK)
-    with pytest.raises(NoPlan, match="one row of FeasibleGrasps"):
+    with pytest.raises(NoPlan, match="a row of FeasibleGrasps is needed"):
         system.GetOutputPort("motion").Eval(context)
 
 

@@ -1,5 +1,6 @@
 import base64
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tog_drake.values import Candidates, Choice, GraspMotion, Grasps
 from tog_drake.visualization import (
     MAX_POINTS,
     _bars,
+    carried_out,
     draw_decision,
     grasp_path,
     make_meshcat,
@@ -45,7 +47,8 @@ def make_decision():
 def make_motion(q0=(0.0,) * 7, q1=(0.0,) * 7):
     arm = PiecewisePolynomial.FirstOrderHold([0.0, 2.0], np.array([q0, q1]).T)
     hand = PiecewisePolynomial(np.array([[0.08]]))
-    return GraspMotion(arm, hand, 2.0, {"approach": 0.5, "close": 1.0, "lift": 1.5})
+    phases = {"approach": 0.5, "close": 1.0, "lift": 1.5}
+    return GraspMotion(arm, hand, 2.0, phases, grasp_index=2)
 
 
 def messages(page):
@@ -84,6 +87,14 @@ def test_all_parts_of_a_decision_are_drawn(meshcat):
     ):
         assert meshcat.HasPath(f"/decision/{path}"), path
     assert not meshcat.HasPath("/decision/seen/candidates/02_blue")
+
+
+def test_the_grasp_that_the_motion_carries_out_is_drawn_in_place_of_the_choice():
+    candidates, choice = make_decision()
+    assert carried_out(choice, candidates, make_motion()) is choice.grasp
+    assert carried_out(choice, candidates, None) is choice.grasp
+    alternative = carried_out(choice, candidates, replace(make_motion(), grasp_index=1))
+    np.testing.assert_array_equal(alternative.X_WG[0], candidates.grasps.X_WG[1])
 
 
 def test_what_a_failed_stage_left_out_is_not_drawn_nor_left_over(meshcat):

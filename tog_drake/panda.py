@@ -60,6 +60,19 @@ def arrival_opening(width: Array) -> Array:
     return opening
 
 
+def grasps_apart(X_WG: Array, X_WG_other: Array) -> tuple[Array, Array]:
+    """Returns how far grasps X_WG (..., 4, 4) are from others, in place [m] and turn [rad], (...).
+
+    Half a turn about z_G changes nothing for a hand with two fingers, so the turn is the smaller
+    one of the two ways to hold it.
+    """
+    place = np.linalg.norm(X_WG[..., :3, 3] - X_WG_other[..., :3, 3], axis=-1)
+    # Of R = X_WG[:3, :3].T @ X_WG_other[:3, :3], the diagonal; cos θ = (tr R − 1) / 2.
+    x, y, z = np.moveaxis((X_WG[..., :3, :3] * X_WG_other[..., :3, :3]).sum(axis=-2), -1, 0)
+    cos = (z + np.abs(x + y) - 1) / 2
+    return place, np.arccos(np.clip(cos, -1.0, 1.0))
+
+
 def gripper_boxes(opening: float) -> tuple[Array, Array]:
     """Returns the axis-aligned boxes that bound the hand, in G.
 

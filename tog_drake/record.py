@@ -20,6 +20,7 @@ class ChoiceRecord(TypedDict):
     """What the selector decided."""
 
     index: int  # row among the feasible grasps, best first
+    planned_index: int | None  # the row that the motion carries out: this one or an alternative
     part: str | None  # the part that the selector believes to hold
     reason: str
     status: str  # "ok", or what the selector could not resolve
@@ -128,6 +129,7 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
         return None
     return ChoiceRecord(
         index=choice.index,
+        planned_index=None if decision.motion is None else decision.motion.grasp_index,
         part=choice.part,
         reason=choice.reason,
         status=choice.status,

@@ -11,8 +11,14 @@ from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
+from tog_drake.panda import grasps_apart
 from tog_drake.pinhole import project
-from tog_drake.values import Candidates, Choice, ChoiceStatus, View
+from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, View
+
+ALTERNATIVES = 5  # of a choice, at most
+# Where the arm finds no way to a grasp, it finds none to one that is hardly different.
+_SAME_PLACE = 0.02  # [m]
+_SAME_TURN = np.radians(20.0)
 
 
 class Selector(Protocol):
@@ -35,12 +41,50 @@ def choose(
     *,
     status: ChoiceStatus = "ok",
     part: str | None = None,
+    worth: Array | None = None,
 ) -> Choice:
-    """Returns the choice of row ``index`` of ``candidates.grasps``, with its contact's pixel."""
+    """Returns the choice of a grasp, with its contact's pixel and what to try in its place.
+
+    Args:
+        index: row of ``candidates.grasps``.
+        view: what the pixel is a pixel of.
+        candidates: all grasps that there are.
+        reason: for a person.
+        status: what could not be resolved.
+        part: that the grasp is believed to hold.
+        worth: (N,) how well each of ``candidates.grasps`` serves the task, −∞ where not at all:
+            the alternatives are the best of these. None where the selector knows of the chosen
+            one alone: then they are the most confident of its cluster.
+    """
+    if worth is None:
+        same = candidates.cluster == candidates.cluster[index]
+        worth = np.where(same, candidates.grasps.score, -np.inf)
     grasp = candidates.grasps.take(np.array([index]))
     u, v = project(grasp.p_WContact, view.intrinsics, view.X_WC)[0]
     pixel = (float(u), float(v))
-    return Choice(index=index, grasp=grasp, reason=reason, status=status, part=part, pixel=pixel)
+    return Choice(
+        index=index,
+        grasp=grasp,
+        reason=reason,
+        status=status,
+        part=part,
+        pixel=pixel,
+        alternatives=_alternatives(index, candidates.grasps.X_WG, worth),
+    )
+
+
+def _alternatives(index: int, X_WG: Array, worth: Array) -> tuple[int, ...]:
+    """Returns the best rows besides ``index``, each unlike it and unlike those before it."""
+    left = np.where(np.arange(len(worth)) == index, -np.inf, worth)
+    picked = [index]
+    while len(picked) <= ALTERNATIVES:
+        place, turn = grasps_apart(X_WG, X_WG[picked[-1]])
+        left = np.where((place < _SAME_PLACE) & (turn < _SAME_TURN), -np.inf, left)
+        best = int(np.argmax(left))
+        if left[best] == -np.inf:
+            break
+        picked.append(best)
+    return tuple(picked[1:])
 
 
 class GraspSelector(LeafSystem):

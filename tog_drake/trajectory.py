@@ -1,6 +1,6 @@
 """From a choice to a motion: look posture → pregrasp → grasp → close → lift → hold."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +22,7 @@ from tog_drake.time_parameterization import (
     optimize_spline,
     rest_to_rest,
 )
-from tog_drake.values import Array, Choice, FeasibleGrasps, GraspMotion
+from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, GraspMotion
 
 _RATES = ("velocity", "acceleration", "jerk")
 _LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
@@ -53,13 +53,14 @@ class TrajectoryConfig:
 
 def plan_motion(
     choice: Choice,
+    candidates: Candidates,
     q_now: Array,
     cloud: PointCloud,
     planning_model: PlanningModel,
     config: TrajectoryConfig,
     seed: int,
 ) -> GraspMotion:
-    """Returns a motion that grasps and lifts what was chosen.
+    """Returns a motion that carries out the choice, or its first alternative that has one.
 
     The hand opens while the arm goes to the pregrasp by the fastest clear spline that is found;
     then come the straight approach, closing, the straight lift and a hold. The segments meet at
@@ -68,7 +69,8 @@ def plan_motion(
     the cloud: it is there to touch it, and what it may touch was decided with the grasp.
 
     Args:
-        choice: its grasp is one row of FeasibleGrasps.
+        choice: which of the grasps, and which others instead.
+        candidates: their grasps are FeasibleGrasps, with the joint paths of approach and lift.
         q_now: (7,) [rad] where the motion starts, at rest.
         cloud: what the camera saw, in W.
         planning_model: what the robot knows.
@@ -76,17 +78,47 @@ def plan_motion(
         seed: decides everything that is random.
 
     Raises:
-        NoPlan: saying which check failed, where and by how much.
+        NoPlan: saying of each grasp which check failed, where and by how much.
         InputError: a speed that is none.
     """
-    q_approach, q_lift = _joint_paths(choice)
+    grasps = candidates.grasps
+    if choice.index < 0 or not isinstance(grasps, FeasibleGrasps):
+        raise NoPlan(
+            f"the choice is row {choice.index} of {len(grasps)} grasps of type "
+            f"{type(grasps).__name__}: a row of FeasibleGrasps is needed, which carries the joint "
+            "paths of approach and lift"
+        )
     _require_plausible(q_now)
-    limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
     points = np.asarray(cloud.xyzs().T, dtype=float)
-    opening = float(arrival_opening(choice.grasp.width)[0])
-    obstacles = Obstacles(
-        planning_model, DistanceField(points[np.isfinite(points).all(axis=1)]), opening
-    )
+    field = DistanceField(points[np.isfinite(points).all(axis=1)])
+    failures: list[str] = []
+    for row in (choice.index, *choice.alternatives):
+        opening = float(arrival_opening(grasps.width[row]))
+        obstacles = Obstacles(planning_model, field, opening)
+        obstacles.require_free(q_now, "the arm's present posture", "move the arm away by hand")
+        try:
+            motion = _plan_grasp(
+                grasps.q_approach[row], grasps.q_lift[row], q_now, obstacles, config, seed
+            )
+        except NoPlan as error:
+            failures.append(f"grasp {row}: {error}")
+            continue
+        instead = ", in place of " if failures else ""
+        return replace(motion, grasp_index=row, note=motion.note + instead + "; ".join(failures))
+    raise NoPlan("; ".join(failures))
+
+
+def _plan_grasp(
+    q_approach: Array,
+    q_lift: Array,
+    q_now: Array,
+    obstacles: Obstacles,
+    config: TrajectoryConfig,
+    seed: int,
+) -> GraspMotion:
+    """Returns the motion of one grasp, whose approach is (A, 7) and whose lift is (L, 7)."""
+    limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
+    planning_model, opening = obstacles.planning_model, obstacles.opening
 
     transfer, note = _transfer(q_now, q_approach[0], obstacles, limits, config, seed)
     t = transfer.end_time()
@@ -112,17 +144,6 @@ def plan_motion(
         phase_times={"approach": t, "close": t_close, "lift": t_lift, "hold": t_hold},
         note=note,
     )
-
-
-def _joint_paths(choice: Choice) -> tuple[Array, Array]:
-    """Returns approach (A, 7) and lift (L, 7) of the chosen grasp."""
-    grasp = choice.grasp
-    if not isinstance(grasp, FeasibleGrasps) or len(grasp) != 1:
-        raise NoPlan(
-            f"the choice holds {len(grasp)} grasps of type {type(grasp).__name__}: one row of "
-            "FeasibleGrasps is needed, which carries the joint paths of approach and lift"
-        )
-    return grasp.q_approach[0], grasp.q_lift[0]
 
 
 def _require_plausible(q_now: Array) -> None:
@@ -178,7 +199,6 @@ def _transfer(
     seed: int,
 ) -> tuple[Trajectory, str]:
     """Returns the way to the pregrasp, checked, and how it was found."""
-    obstacles.require_free(q_now, "the arm's present posture", "move the arm away by hand")
     obstacles.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
     ends = np.stack([q_now, q_pregrasp])
     # Where an end itself is nearer to something, no more than that can be asked of the way.
@@ -260,6 +280,7 @@ class TrajectoryOptimizer(LeafSystem):
         name: TrajectoryOptimizer
         input_ports:
         - choice
+        - candidates
         - cloud
         - panda.position_measured
         output_ports:
@@ -274,6 +295,7 @@ class TrajectoryOptimizer(LeafSystem):
         self._planning_model = planning_model
         self._seed = seed
         self._choice = self.DeclareAbstractInputPort("choice", Value(Choice.none()))
+        self._candidates = self.DeclareAbstractInputPort("candidates", Value(Candidates.empty()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
         self.DeclareAbstractOutputPort(
@@ -282,6 +304,7 @@ class TrajectoryOptimizer(LeafSystem):
             calc=self._CalcMotion,
             prerequisites_of_calc={
                 self._choice.ticket(),
+                self._candidates.ticket(),
                 self._cloud.ticket(),
                 self._position.ticket(),
             },
@@ -291,6 +314,7 @@ class TrajectoryOptimizer(LeafSystem):
         output.set_value(
             plan_motion(
                 self._choice.Eval(context),
+                self._candidates.Eval(context),
                 self._position.Eval(context),
                 self._cloud.Eval(context),
                 self._planning_model,

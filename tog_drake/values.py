@@ -127,12 +127,14 @@ class Choice:
     """The grasp that a selector picked, and why."""
 
     index: int  # row of ``Candidates.grasps``
-    grasp: Grasps  # N = 1
+    grasp: Grasps  # that row, N = 1
     reason: str  # one or two sentences for a person
     status: ChoiceStatus = "ok"  # what the selector could not resolve, if anything
     part: str | None = None  # the part that the selector believes to hold, in its own words
     pixel: tuple[float, float] | None = None  # (u, v) of the contact point in the view shown
     raw_answer: str | None = None  # what a model answered, verbatim
+    alternatives: tuple[int, ...] = ()
+    """Rows of ``Candidates.grasps`` to try, best first, where no motion to ``index`` is found."""
 
     @staticmethod
     def none() -> "Choice":
@@ -148,7 +150,8 @@ class GraspMotion:
     hand: Trajectory  # (1,) [m] commanded opening
     duration: float  # [s]
     phase_times: dict[str, float]  # [s] when approach, close, lift and hold begin
-    note: str = ""  # how it was found (optimised, or the fallback)
+    note: str = ""  # how it was found (optimised, or the fallback), and what failed before
+    grasp_index: int = -1  # row of ``Candidates.grasps`` that it carries out
 
     @staticmethod
     def still() -> "GraspMotion":

@@ -66,7 +66,8 @@ def draw_decision(
         cloud: what the robot saw, in W, in its colours.
         grasps: all of them, faint; None takes those that the candidates were picked from.
         candidates: each in its colour.
-        choice: bold, with a ball at the contact point.
+        choice: bold, with a ball at the contact point; where the motion carries out an alternative
+            to it, that one is drawn.
         motion: the path of the grasp frame.
         X_WL0: (4, 4) where the arm stands; None is at the origin of W.
     """
@@ -81,11 +82,21 @@ def draw_decision(
         _draw_candidates(meshcat, f"{DECISION}/seen/candidates", candidates)
     if choice is not None:
         color = choice_color(candidates, choice)
-        _draw_choice(meshcat, f"{DECISION}/seen/choice", choice, color)
+        grasp = carried_out(choice, candidates, motion)
+        _draw_grasp(meshcat, f"{DECISION}/seen/choice", grasp, color)
     if motion is not None:
         points = grasp_path(motion, X_WL0)
         ends = np.stack([points[:-1], points[1:]], axis=1)
         _draw_bars(meshcat, f"{DECISION}/path", ends, PATH_RADIUS, PATH_COLOR)
+
+
+def carried_out(
+    choice: Choice, candidates: Candidates | None, motion: GraspMotion | None
+) -> Grasps:
+    """Returns the grasp (N = 1) of the motion: the chosen one, or an alternative to it."""
+    if motion is None or candidates is None or motion.grasp_index == choice.index:
+        return choice.grasp
+    return candidates.grasps.take(np.array([motion.grasp_index]))
 
 
 def grasp_path(motion: GraspMotion, X_WL0: Array | None = None, samples: int = 100) -> Array:
@@ -145,10 +156,10 @@ def _draw_candidates(meshcat: Meshcat, path: str, candidates: Candidates) -> Non
         _draw_bars(meshcat, f"{path}/{rank:02d}_{name}", hand, CANDIDATE_RADIUS, color)
 
 
-def _draw_choice(meshcat: Meshcat, path: str, choice: Choice, color: Sequence[int]) -> None:
-    _draw_bars(meshcat, f"{path}/hand", hand_wireframe(choice.grasp)[0], CHOICE_RADIUS, color)
+def _draw_grasp(meshcat: Meshcat, path: str, grasp: Grasps, color: Sequence[int]) -> None:
+    _draw_bars(meshcat, f"{path}/hand", hand_wireframe(grasp)[0], CHOICE_RADIUS, color)
     meshcat.SetObject(f"{path}/contact", Sphere(CONTACT_RADIUS), _rgba(color))
-    meshcat.SetTransform(f"{path}/contact", RigidTransform(choice.grasp.p_WContact[0]))
+    meshcat.SetTransform(f"{path}/contact", RigidTransform(grasp.p_WContact[0]))
 
 
 def _draw_faint(meshcat: Any, path: str, ends: Array) -> None:

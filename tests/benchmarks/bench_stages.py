@@ -84,7 +84,14 @@ def test_select(looked, benchmark):
 def test_plan(looked, benchmark):
     config, world, _, decision, q = looked
     benchmark(
-        plan_motion, decision.choice, q, decision.cloud, world.planning_model, config.trajectory, 0
+        plan_motion,
+        decision.choice,
+        decision.candidates,
+        q,
+        decision.cloud,
+        world.planning_model,
+        config.trajectory,
+        0,
     )
 
 

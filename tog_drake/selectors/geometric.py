@@ -85,10 +85,10 @@ class GeometricSelector:
                 raise NoChoice(f"{target.how}; every grasp on it is on its {avoided}.")
             status, part = "no_grasp_on_part", None
             how += f"; none of {fits.sum()} grasps on the object is there, so the best elsewhere"
-        value = held.value(wanted.mask, self._config.margin)
-        index = int(np.argmax(np.where(fits, value, -1.0)))
+        worth = np.where(fits, held.value(wanted.mask, self._config.margin), -np.inf)
+        index = int(np.argmax(worth))
         reason = f"{target.how}; {how}; best of {fits.sum()} grasps."
-        return choose(index, view, candidates, reason, status=status, part=part)
+        return choose(index, view, candidates, reason, status=status, part=part, worth=worth)
 
 
 class _Held:

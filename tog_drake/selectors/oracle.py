@@ -108,4 +108,5 @@ def choose_by_labels(
         f"{' or '.join(sorted(allowed))}."
     )
     part = max(regions[index].items(), key=lambda item: item[1])[0][1]
-    return choose(index, view, candidates, reason, part=part)
+    worth = np.where(fits, grasps.score, -np.inf)
+    return choose(index, view, candidates, reason, part=part, worth=worth)
