@@ -1,6 +1,5 @@
 from contextlib import suppress
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,7 +9,6 @@ from tog_drake.pipeline import Antipodal, Oracle, Random
 from tog_drake.scenario import (
     DrakeModels,
     Scenario,
-    camera_configs,
     load_scenario,
     model_files,
     parse_scenario,
@@ -108,22 +106,3 @@ def test_drawing_a_pose_leaves_the_scenario_as_it_was():
     sampled_directives(scenario)
     (model,) = [d.add_model for d in scenario.directives if d.add_model is not None]
     assert not next(iter(model.default_free_body_pose.values())).IsDeterministic()
-
-
-@pytest.mark.parametrize(
-    ("resolution", "size"), [("640x480", (640, 480)), ("1280x720", (1280, 720))]
-)
-def test_the_camera_sees_43_degrees_high_from_a_quarter_metre_on(resolution, size):
-    scenario = _parse(f"cameras: {{wrist: !L515 {{resolution: {resolution}}}}}")
-    color, depth = camera_configs(scenario)["wrist"].MakeCameras()
-    info = color.core().intrinsics()
-    assert (info.width(), info.height()) == size
-    assert np.degrees(info.fov_y()) == pytest.approx(43, abs=0.1)
-    assert depth.depth_range().min_depth() == pytest.approx(0.25)
-    if resolution == "1280x720":
-        assert np.degrees(info.fov_x()) == pytest.approx(70, abs=0.1)
-
-
-def test_an_unknown_resolution_names_the_presets():
-    with pytest.raises(InputError, match=r"'9x9'.*1280x720, 640x480"):
-        camera_configs(_parse("cameras: {wrist: !L515 {resolution: 9x9}}"))

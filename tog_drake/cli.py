@@ -49,6 +49,9 @@ KOption = Annotated[
     str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
 ]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seeds everything random.")]
+NoiseOption = Annotated[
+    bool, typer.Option("--noise", help="Depth as the cameras would measure it, not exact.")
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
 ]
@@ -71,6 +74,7 @@ def run(
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
+    noise: NoiseOption = False,
     out: Annotated[Path, typer.Option(help="Folder for episode.json and report.html.")] = Path(
         "out/run"
     ),
@@ -80,6 +84,7 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.cameras import with_noise
     from tog_drake.episode import run_episode
     from tog_drake.record import save_record
     from tog_drake.report import write_report
@@ -91,6 +96,8 @@ def run(
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
     loaded = _load(name, scenario_text, selector, proposer, k, seed)
+    if noise:
+        loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None
     with console.status("looking, deciding, moving ..."):
         episode = run_episode(

@@ -10,17 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
 import yaml
 from pydrake.common import RandomGenerator
-from pydrake.common.schema import Rotation, Transform
+from pydrake.common.schema import Transform
 from pydrake.common.yaml import yaml_load_typed
-from pydrake.math import RotationMatrix
 from pydrake.multibody.parsing import AddDirectives, ModelDirective
 from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.sensors import CameraConfig
 
+from tog_drake.cameras import D435, L515, drake_config
 from tog_drake.errors import InputError
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.resources import make_package_map, resource_dir
@@ -28,50 +27,8 @@ from tog_drake.schema_check import check_yaml
 
 MAX_SCENARIO_BYTES = 1_000_000  # a scenario is a page; anything larger is not one
 
-# The Intel RealSense L515's colour field of view is 70° × 43° at 1280×720 (data sheet); its
-# 640×480 mode is the middle of that image, scaled by 2/3.
-_L515_FOCAL = {"1280x720": 914.1, "640x480": 609.4}  # [pixel]
-
-
 # The wrist camera half a metre above the table's middle, tilted 24° [rad].
 LOOK_POSTURE = (0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853)
-
-
-@dataclass
-class L515:
-    """A camera like an Intel RealSense L515, colour and depth aligned: `!L515 {}`."""
-
-    resolution: str = "640x480"  # or 1280x720 [pixel]
-    X_PB: Transform = field(
-        default_factory=lambda: Transform(
-            base_frame="hand::panda_hand",
-            translation=[0.065, 0.0, 0.035],
-            rotation=Rotation(RotationMatrix.MakeZRotation(np.pi / 2)),
-        )
-    )  # where it is mounted: beside the hand, looking along the fingers
-
-    def camera_config(self) -> CameraConfig:
-        """Returns the same camera in Drake's terms.
-
-        Raises:
-            InputError: if the resolution is none of the camera's.
-        """
-        if self.resolution not in _L515_FOCAL:
-            raise InputError(
-                f"L515 has no resolution {self.resolution!r}; valid: {', '.join(_L515_FOCAL)}"
-            )
-        width, height = map(int, self.resolution.split("x"))
-        focal = _L515_FOCAL[self.resolution]
-        return CameraConfig(
-            width=width,
-            height=height,
-            focal=CameraConfig.FocalLength(x=focal, y=focal),
-            z_near=0.25,  # [m] its least range
-            z_far=9.0,
-            clipping_near=0.01,
-            X_PB=self.X_PB,
-            depth=True,
-        )
 
 
 @dataclass
@@ -107,7 +64,9 @@ class Scenario:
         }
     )
     """Joint positions at the start [rad or m]: looking at the table with the hand open."""
-    cameras: dict[str, L515 | CameraConfig] = field(default_factory=lambda: {"wrist": L515()})
+    cameras: dict[str, L515 | D435 | CameraConfig] = field(
+        default_factory=lambda: {"wrist": L515()}
+    )
     """RGB-D cameras by name."""
     plant_config: MultibodyPlantConfig = field(
         default_factory=lambda: MultibodyPlantConfig(
@@ -209,10 +168,7 @@ def _drawn(pose: Transform, generator: RandomGenerator) -> Transform:
 
 def camera_configs(scenario: Scenario) -> dict[str, CameraConfig]:
     """Returns the scenario's cameras in Drake's terms."""
-    return {
-        name: camera.camera_config() if isinstance(camera, L515) else camera
-        for name, camera in scenario.cameras.items()
-    }
+    return {name: drake_config(camera) for name, camera in scenario.cameras.items()}
 
 
 def model_files(scenario: Scenario) -> dict[str, Path]:

@@ -20,12 +20,14 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.sensors import CameraConfig, RgbdSensor
 
+from tog_drake.cameras import noise_of
 from tog_drake.errors import InputError
 from tog_drake.panda import FINGER_JOINT_NAMES, JOINT_NAMES
 from tog_drake.planning_model import HAND, PANDA
 from tog_drake.rendering import make_render_engine
 from tog_drake.resources import make_package_map
 from tog_drake.scenario import Scenario, camera_configs, sampled_directives
+from tog_drake.stations.depth_noise import DepthSensor
 
 # Implicit PD gains on the joint actuators, found by experiment: the arm follows to 0.5 mrad and
 # the fingers reach their effort limit on anything thicker than a millimetre.
@@ -70,7 +72,8 @@ class SimulationStation(Diagram):
         _connect_arm(builder, self.plant)
         _connect_hand(builder, self.plant)
         for name, config in camera_configs(scenario).items():
-            _add_camera(builder, self.plant, self.scene_graph, name, config)
+            depth_sensor = _make_depth_sensor(scenario, name, config)
+            _add_camera(builder, self.plant, self.scene_graph, name, config, depth_sensor)
         for port, name in (
             (self.plant.get_body_poses_output_port(), "cheat.body_poses"),
             (self.scene_graph.get_query_output_port(), "cheat.query_object"),
@@ -174,12 +177,21 @@ class _CameraPose(LeafSystem):
         output.set_value(self._X_WB.Eval(context) @ self._X_BC)
 
 
+def _make_depth_sensor(scenario: Scenario, name: str, config: CameraConfig) -> DepthSensor | None:
+    """What adds the camera's noise to its depth; None where that is to be exact."""
+    noise = noise_of(scenario.cameras[name])
+    if noise is None:
+        return None
+    return DepthSensor(noise, focal=config.focal_x(), seed=scenario.random_seed, camera=name)
+
+
 def _add_camera(
     builder: DiagramBuilder,
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     name: str,
     config: CameraConfig,
+    depth_sensor: DepthSensor | None,
 ) -> None:
     if not scene_graph.HasRenderer(config.renderer_name):
         scene_graph.AddRenderer(config.renderer_name, make_render_engine(config.background))
@@ -201,5 +213,10 @@ def _add_camera(
     pose.set_name(f"{name}_pose")
     builder.Connect(sensor.body_pose_in_world_output_port(), pose.get_input_port())
     builder.ExportOutput(sensor.color_image_output_port(), f"{name}.rgb_image")
-    builder.ExportOutput(sensor.depth_image_32F_output_port(), f"{name}.depth_image")
+    depth_image = sensor.depth_image_32F_output_port()
+    if depth_sensor is not None:
+        builder.AddNamedSystem(f"{name}_depth_sensor", depth_sensor)
+        builder.Connect(depth_image, depth_sensor.get_input_port())
+        depth_image = depth_sensor.get_output_port()
+    builder.ExportOutput(depth_image, f"{name}.depth_image")
     builder.ExportOutput(pose.get_output_port(), f"{name}.X_WC")
