@@ -20,8 +20,9 @@ from tog_drake.resources import resource_dir
 
 COMMANDS = typer.main.get_command(cli.app).commands
 SCENARIOS = [
-    *("Axe", "Brush", "Hammer", "LotionBottle", "Muddler", "Mug", "Pot"),
-    *("Screwdriver", "Spatula", "Spoon", "ToyDinosaur", "Umbrella", "Whisk"),
+    *("Axe", "Bottle", "Brush", "Cup", "Hammer", "Knife", "LotionBottle", "Muddler", "Mug"),
+    *("Pan", "Pot", "Scissors", "Screwdriver", "Spatula", "Spoon", "ToyDinosaur"),
+    *("ToyElephant", "Umbrella", "Whisk"),
 ]
 OBJECTS = [name.lower() for name in SCENARIOS]
 STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]

@@ -29,8 +29,9 @@ def _pose(scenario):
 
 def test_every_object_has_a_scenario_that_loads():
     assert set(scenario_files()) >= {
-        "Axe", "Brush", "Hammer", "LotionBottle", "Muddler", "Mug", "Pot", "Screwdriver",
-        "Spatula", "Spoon", "ToyDinosaur", "Umbrella", "Whisk"
+        "Axe", "Bottle", "Brush", "Cup", "Hammer", "Knife", "LotionBottle", "Muddler", "Mug",
+        "Pan", "Pot", "Scissors", "Screwdriver", "Spatula", "Spoon", "ToyDinosaur", "ToyElephant",
+        "Umbrella", "Whisk"
     }  # fmt: skip
     for name in scenario_files():
         scenario = load_scenario(name)

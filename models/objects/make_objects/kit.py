@@ -150,6 +150,13 @@ def loft(rings: Sequence[Array]) -> TriangleMesh:
     return TriangleMesh(vertices, faces if volume > 0 else faces[:, ::-1])
 
 
+def hoop(rings: Sequence[Array]) -> TriangleMesh:
+    """The surface through rings and from the last to the first again: a torus."""
+    mesh = loft([*rings, rings[0]])
+    corners = len(mesh.vertices) - 2  # without the middles of the fans
+    return TriangleMesh(mesh.vertices[:corners], mesh.faces[np.all(mesh.faces < corners, axis=1)])
+
+
 def hull(*points: Array) -> TriangleMesh:
     """The convex hull of all the points (N, 3) given."""
     corners = np.unique(np.round(np.vstack(points), MICRON), axis=0)

@@ -4,9 +4,9 @@ from kit import Piece, ellipse, hull, ring
 
 from tog_drake.values import Array
 
-SEGMENTS = 12  # flat wall segments that take the contact
-# Flat segments cut the corner; this much wider, they touch where the round wall is seen.
-WIDER = 1.017
+# Flat segments cut the corner. By number of segments: this much wider, they stand out at their
+# corners by as much as they fall short between them, and so touch where the round wall is seen.
+WIDER = {8: 1.040, 12: 1.017}
 
 
 def circle(radius: float, z: float) -> Array:
@@ -14,15 +14,29 @@ def circle(radius: float, z: float) -> Array:
     return ring(ellipse(radius, radius, 48), "z", z)
 
 
-def corners(radius: float, z: float) -> Array:
+def corners(radius: float, z: float, segments: int = 12) -> Array:
     """The corners between wall segments; segment i lies between corners i and i + 1."""
-    return ring(ellipse(radius, radius, SEGMENTS, phase=-0.5), "z", z)
+    return ring(ellipse(radius, radius, segments, phase=-0.5), "z", z)
+
+
+def wall(
+    low: tuple[float, float, float], high: tuple[float, float, float], segments: int = 12
+) -> list[Piece]:
+    """The segments of a wall, for contact, between two levels (outer radius, inner radius, z)."""
+    wider = WIDER[segments]
+    rings = [
+        corners(radius * wider, z, segments)
+        for i in (0, 1)
+        for radius, z in ((low[i], low[2]), (high[i], high[2]))
+    ]
+    slabs = [hull(*(r[[i, (i + 1) % segments]] for r in rings)) for i in range(segments)]
+    return [Piece(f"wall_{i:02d}", slab, drawn=False) for i, slab in enumerate(slabs)]
 
 
 def wall_and_bottom(
     outer: float, inner: float, height: float, foot: float, thickness: float
 ) -> list[Piece]:
-    """The bottom and the segments of the wall, for contact.
+    """The bottom and the segments of a straight wall, for contact.
 
     Args:
         outer, inner: radii of the wall [m].
@@ -31,7 +45,4 @@ def wall_and_bottom(
         thickness: of the bottom [m].
     """
     bottom = Piece("bottom", hull(corners(foot, 0.0), corners(foot, thickness)), drawn=False)
-    rings = [corners(r * WIDER, z) for r in (outer, inner) for z in (0.001, height)]
-    segments = [hull(*(r[[i, (i + 1) % SEGMENTS]] for r in rings)) for i in range(SEGMENTS)]
-    walls = [Piece(f"wall_{i:02d}", wall, drawn=False) for i, wall in enumerate(segments)]
-    return [bottom, *walls]
+    return [bottom, *wall((outer, inner, 0.001), (outer, inner, height))]
