@@ -16,6 +16,7 @@ from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.panda import FINGERTIP_Z, MAX_OPENING, gripper_boxes
 from tog_drake.pinhole import project
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
+from tog_drake.proposers.hypotheses import thinned_surface
 from tog_drake.table import find_table
 from tog_drake.values import Workspace
 
@@ -250,6 +251,23 @@ def test_two_things_a_hand_apart_are_both_gripped():
     right = box([0.40, -0.08, 0], [0.60, -0.05, 0.03])
     y = propose(left, right).X_WG[:, 1, 3]
     assert min(np.sum(y > 0), np.sum(y < 0)) > 0.3 * len(y)
+
+
+def test_a_tool_is_best_held_towards_its_head():
+    grasps = by_default("hammer")
+    middle = SHAPES["hammer"][0][:, 0].mean()
+    assert np.all(grasps.X_WG[:10, 0, 3] > middle + 0.01)
+    assert np.ptp(grasps.X_WG[:, 0, 3]) > 0.15  # although it is gripped all along
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_balance_of_a_thing_of_even_width_is_in_its_middle_and_of_a_t_near_the_bar(yaw):
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    for shape, x in (("bar", 0.50), ("hammer", 0.57)):
+        point, normal = SHAPES[shape]
+        surface = thinned_surface(cloud_of((point @ R.T, normal @ R.T)), 0.004)
+        np.testing.assert_allclose(surface.balance, [[x * c, x * s]], atol=0.012)
 
 
 # -- every grasp ---------------------------------------------------------------------------------

@@ -46,9 +46,9 @@ class FeasibilityConfig:
     """How much room the robot demands."""
 
     pregrasp_distance: float = 0.10  # [m] from which the hand approaches, along z_G
-    lift_height: float = 0.15  # [m] along z_W; a grasp succeeds from 0.10 m on
+    lift_height: float = 0.20  # [m] along z_W: clear of the table even for what hangs from the hand
     approach_points: int = 9  # of the straight approach, both ends included
-    lift_points: int = 13
+    lift_points: int = 17
     max_joint_step: float = 0.10  # [rad] between neighbouring points
     limit_margin: float = 0.05  # [rad] kept from every joint limit
     q7_samples: int = 24  # around the circle

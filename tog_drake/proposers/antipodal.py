@@ -211,13 +211,13 @@ def _measure(
     X_WG[:, :3, :3] = R_WG
     offset = np.stack([np.zeros(count), (high + low) / 2, grips.tip - FINGERTIP_Z], axis=-1)
     X_WG[:, :3, 3] = surface.point[anchor] + np.einsum("nij,nj->ni", R_WG, offset)
-    centroid = surface.centroid[surface.thing[anchor]]
+    balance = surface.balance[surface.thing[anchor]]
     score = _score(
         facing=np.stack([facing_high, facing_low]),
         depth=grips.tip - top,
         tilt=np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)),
         covered=covered,
-        lever=np.linalg.norm((X_WG[:, :3, 3] - centroid)[:, :2], axis=1),
+        lever=np.linalg.norm(X_WG[:, :2, 3] - balance, axis=1),
         spare=max_width - (high - low),
     )
     foreign = surface.thing[row] != surface.thing[anchor][grip]
@@ -288,16 +288,16 @@ def _score(
         depth: (K,) [m] of the fingertips below the top of what is gripped.
         tilt: (K,) [rad] of the approach from the vertical.
         covered: (K,) share of the pad that holds something.
-        lever: (K,) [m] horizontally from the middle of what is seen of the thing.
+        lever: (K,) [m] horizontally from where the centre of mass may be.
         spare: (K,) [m] by which it could be wider.
     """
     return np.asarray(
-        0.35 * np.clip((facing - MIN_FACING) / (0.95 - MIN_FACING), 0, 1).mean(axis=0)
+        0.30 * np.clip((facing - MIN_FACING) / (0.95 - MIN_FACING), 0, 1).mean(axis=0)
         + 0.20 * np.minimum(depth / 0.025, 1)
-        + 0.12 * (1 - tilt / (np.pi / 2))
+        + 0.10 * (1 - tilt / (np.pi / 2))
         + 0.10 * covered
-        + 0.17 * np.exp(-((lever / 0.08) ** 2))
-        + 0.06 * np.clip(spare / 0.02, 0, 1)
+        + 0.25 * np.exp(-((lever / 0.06) ** 2))
+        + 0.05 * np.clip(spare / 0.02, 0, 1)
     )
 
 
