@@ -97,6 +97,25 @@ def test_the_hand_closes_evenly_and_stops_at_nothing():
     assert left == pytest.approx(right, abs=1e-4)
 
 
+def test_cameras_see_the_arm_move_and_contact_does_not_pay_for_it():
+    """The scene that contact asks in every step draws nothing; the cameras have their own."""
+    side = "X_PB: {translation: [0.5, 0, 1.5], rotation: !Rpy {deg: [180, 0, 0]}}"
+    text = f"cameras: {{top: !CameraConfig {{width: 64, height: 48, {side}}}}}"
+    station = SimulationStation(load_scenario("Hammer", text))
+    assert station.scene_graph.RendererCount() == 0
+    context = station.CreateDefaultContext()
+    image = station.GetOutputPort("top.rgb_image")
+    before = image.Eval(context).data.copy()
+    panda = station.plant.GetModelInstanceByName("panda")
+    station.plant.SetPositions(
+        station.plant.GetMyMutableContextFromRoot(context), panda, np.array(LOOK_POSTURE) + 0.3
+    )
+    after = image.Eval(context).data
+    assert (before != after).any(axis=2).mean() > 0.02
+    again = station.CreateDefaultContext()
+    np.testing.assert_array_equal(image.Eval(again).data, before)
+
+
 def test_a_camera_with_unaligned_depth_is_refused():
     text = (
         "cameras: {side: !CameraConfig {width: 64, height: 48, X_BD: {translation: [0.1, 0, 0]}}}"

@@ -71,9 +71,7 @@ class SimulationStation(Diagram):
         self.plant.Finalize()
         _connect_arm(builder, self.plant)
         _connect_hand(builder, self.plant)
-        for name, config in camera_configs(scenario).items():
-            depth_sensor = _make_depth_sensor(scenario, name, config)
-            _add_camera(builder, self.plant, self.scene_graph, name, config, depth_sensor)
+        _add_cameras(builder, self.plant, self.scene_graph, scenario)
         for port, name in (
             (self.plant.get_body_poses_output_port(), "cheat.body_poses"),
             (self.scene_graph.get_query_output_port(), "cheat.query_object"),
@@ -175,6 +173,27 @@ class _CameraPose(LeafSystem):
 
     def _CalcPose(self, context: Context, output: Value) -> None:
         output.set_value(self._X_WB.Eval(context) @ self._X_BC)
+
+
+def _add_cameras(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, scenario: Scenario
+) -> None:
+    """Adds the cameras, which look at a copy of the finished scene.
+
+    A SceneGraph moves what its render engines draw whenever it is asked anything, contact in every
+    step too. The copy is asked for images alone, so that nobody pays for those not taken. It has
+    the frames of the original and takes its poses from the same port.
+    """
+    configs = camera_configs(scenario)
+    if not configs:
+        return
+    seen = builder.AddNamedSystem("seen_by_cameras", scene_graph.Clone())
+    builder.Connect(
+        plant.get_geometry_pose_output_port(), seen.get_source_pose_port(plant.get_source_id())
+    )
+    for name, config in configs.items():
+        depth_sensor = _make_depth_sensor(scenario, name, config)
+        _add_camera(builder, plant, seen, name, config, depth_sensor)
 
 
 def _make_depth_sensor(scenario: Scenario, name: str, config: CameraConfig) -> DepthSensor | None:
