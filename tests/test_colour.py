@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tog_drake.lexicon import LEXICON
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
-from tog_drake.task_words import COLOUR_WORDS
 
-NAMES = sorted(set(COLOUR_WORDS.values()))
+NAMES = sorted(set(LEXICON.colours.values()))
 
 
 @pytest.mark.parametrize(

@@ -21,8 +21,11 @@ def _parts(name):
         ("hand me the hammer by the handle", {"handle"}),
         ("pick up the hammer by its grip", {"handle"}),
         ("pick up the hammer, not by the head", {"handle"}),
-        ("polish the hammer's spout", None),
+        ("lift the hammer by its spout", None),
         ("look at the hammer", None),
+        ("bring me the hammer so that I can take the handle", {"head"}),
+        ("clean the head of the hammer", {"handle"}),
+        ("don't pick the hammer up", set()),
     ],
 )
 def test_a_task_allows_parts_of_a_hammer(task, allowed):

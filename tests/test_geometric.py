@@ -6,19 +6,19 @@ from hypothesis import strategies as st
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import InputError, NoChoice
+from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.values import Candidates, Workspace
 
 
-def select(task, cloud, candidates, *, table=0.0):
-    selector = GeometricSelector(Geometric(), Workspace(table_height=table))
+def select(task, cloud, candidates, *, table=0.0, unresolved="fail"):
+    selector = GeometricSelector(Geometric(unresolved=unresolved), Workspace(table_height=table))
     return selector.select(things.view(), cloud, candidates, task)
 
 
-def choose(task, points, colour=things.STEEL):
+def choose(task, points, colour=things.STEEL, **policy):
     """The choice among grasps all over one thing, and the point that it holds."""
-    choice = select(task, things.cloud((points, colour)), things.candidates(points))
+    choice = select(task, things.cloud((points, colour)), things.candidates(points), **policy)
     return choice, choice.grasp.p_WContact[0]
 
 
@@ -75,9 +75,32 @@ def test_the_colour_leads_to_the_object_even_past_better_grasps():
     assert choice.grasp.p_WContact[0, 1] > 0.2
 
 
-def test_without_a_part_or_purpose_the_best_grasp_is_taken_and_the_task_called_unclear():
-    choice, _ = choose("hammer", things.hammer()[0])
-    assert (choice.index, choice.status, choice.part) == (0, "unclear_task", None)
+@pytest.mark.parametrize(
+    ("task", "why"),
+    [
+        ("hammer", "says neither part nor purpose"),
+        ("frobnicate the hammer", "not understood: 'frobnicate'"),
+        ("hold the hammer by the gizmo", "not understood: 'gizmo'"),
+    ],
+)
+def test_a_task_that_is_not_understood_moves_nothing_unless_asked_to(task, why):
+    points, _ = things.hammer()
+    with pytest.raises(NoChoice, match=f"{why}.*Understood are: .*handle"):
+        choose(task, points)
+    choice, _ = choose(task, points, unresolved="top-score")
+    assert (choice.index, choice.status, choice.part) == (0, "unresolved", None)
+    assert why in choice.reason
+
+
+def test_a_policy_that_there_is_not_is_refused():
+    with pytest.raises(InputError, match="'guess'; valid: fail, top-score"):
+        GeometricSelector(Geometric(unresolved="guess"), Workspace())
+
+
+def test_to_leave_things_alone_is_no_choice_whatever_the_policy():
+    for policy in ("fail", "top-score"):
+        with pytest.raises(NoChoice, match="leave things alone"):
+            choose("don't pick anything up", things.hammer()[0], unresolved=policy)
 
 
 def test_to_pick_up_is_clear_and_any_part_will_do():
@@ -87,19 +110,21 @@ def test_to_pick_up_is_clear_and_any_part_will_do():
 
 def test_a_part_that_the_shape_does_not_show_is_said_to_be_not_found():
     stick = things.box((-0.1, -0.01, 0.004), (0.1, 0.01, 0.02))
-    choice, _ = choose("use the hammer", stick)
+    with pytest.raises(NoChoice, match=r"alike all along.*from another side"):
+        choose("use the hammer", stick)
+    choice, _ = choose("use the hammer", stick, unresolved="top-score")
     assert (choice.status, choice.part) == ("part_not_found", None)
-    assert "alike all along" in choice.reason
     assert "any grasp on the object instead" in choice.reason
 
 
-def test_a_part_without_a_grasp_on_it_is_said_so_and_the_nearest_taken():
+def test_a_part_without_a_grasp_on_it_is_said_so():
     points, _ = things.hammer()
     cloud = things.cloud((points, things.STEEL))
-    far = points[points[:, 0] < 0.05]
-    choice = select("hand me the hammer", cloud, things.candidates(far))
+    far = things.candidates(points[points[:, 0] < 0.05])
+    with pytest.raises(NoChoice, match=r"none of .* grasps on the object is there"):
+        select("hand me the hammer", cloud, far)
+    choice = select("hand me the hammer", cloud, far, unresolved="top-score")
     assert (choice.status, choice.part) == ("no_grasp_on_part", None)
-    assert "none of" in choice.reason
 
 
 def test_a_part_to_avoid_is_never_held_not_even_for_want_of_another():
@@ -112,12 +137,12 @@ def test_a_part_to_avoid_is_never_held_not_even_for_want_of_another():
 def test_grasps_on_other_objects_do_not_count():
     red, blue = things.mug((0.0, 0.0))[0], things.mug((0.0, 0.3))[0]
     cloud = things.cloud((red, things.RED), (blue, things.BLUE))
-    with pytest.raises(NoChoice, match=r"none of \d+ grasps is on it"):
+    with pytest.raises(NoGrasp, match=r"none of \d+ feasible grasps is on it"):
         select("grab the blue mug", cloud, things.candidates(red))
 
 
 def test_without_a_grasp_there_is_no_choice_and_without_a_task_an_input_error():
-    with pytest.raises(NoChoice, match="no feasible grasp"):
+    with pytest.raises(NoGrasp, match="no feasible grasp"):
         select("grab it", PointCloud(0), Candidates.empty())
     with pytest.raises(InputError, match="no words"):
         select(" ", PointCloud(0), Candidates.empty())
@@ -146,7 +171,7 @@ def test_the_height_of_the_table_is_taken_into_account():
 
 def test_its_config_is_read_from_yaml():
     config = yaml_load_typed(schema=Geometric, data="{min_on_part: 0.8}")
-    assert (config.min_on_part, config.margin) == (0.8, 0.03)
+    assert (config.min_on_part, config.unresolved) == (0.8, "fail")
 
 
 # What each task is about, in the pixels of a recorded view: (u, v) of a box around it.

@@ -4,7 +4,7 @@ import things
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tog_drake.selectors.kinds import RULES
+from tog_drake.lexicon import LEXICON
 from tog_drake.selectors.parts import PartNotFound, find_part, likeness, rule_of
 
 YAW = st.floats(-np.pi, np.pi)
@@ -20,8 +20,8 @@ def overlap(mask, truth):
 def test_a_hammers_head_is_its_wide_end_whichever_way_it_lies(yaw):
     points, is_head = things.hammer()
     points = things.turned(points, yaw)
-    head = find_part(points, "head", RULES["hammer"])
-    handle = find_part(points, "handle", RULES["hammer"])
+    head = find_part(points, "head", LEXICON.rules["hammer"])
+    handle = find_part(points, "handle", LEXICON.rules["hammer"])
     assert overlap(head.mask, is_head) > 0.85
     assert overlap(handle.mask, ~is_head) > 0.85
     assert "wide portion is the head" in head.how
@@ -32,8 +32,8 @@ def test_a_hammers_head_is_its_wide_end_whichever_way_it_lies(yaw):
 def test_a_screwdrivers_handle_is_its_wide_end(yaw):
     points, is_shaft = things.screwdriver()
     points = things.turned(points, yaw)
-    assert overlap(find_part(points, "shaft", RULES["screwdriver"]).mask, is_shaft) > 0.8
-    assert overlap(find_part(points, "handle", RULES["screwdriver"]).mask, ~is_shaft) > 0.9
+    assert overlap(find_part(points, "shaft", LEXICON.rules["screwdriver"]).mask, is_shaft) > 0.8
+    assert overlap(find_part(points, "handle", LEXICON.rules["screwdriver"]).mask, ~is_shaft) > 0.9
 
 
 @given(YAW)
@@ -41,15 +41,15 @@ def test_a_screwdrivers_handle_is_its_wide_end(yaw):
 def test_a_mugs_handle_is_what_sticks_out_of_the_round_body(yaw):
     points, is_handle = things.mug()
     points = things.turned(points, yaw, (0.5, 0.1))
-    handle = find_part(points, "handle", RULES["mug"]).mask
+    handle = find_part(points, "handle", LEXICON.rules["mug"]).mask
     assert handle.sum() > 0.5 * is_handle.sum()
     assert not (handle & ~is_handle).any()
-    assert overlap(find_part(points, "body", RULES["mug"]).mask, ~is_handle) > 0.9
+    assert overlap(find_part(points, "body", LEXICON.rules["mug"]).mask, ~is_handle) > 0.9
 
 
 def test_the_rim_of_a_mug_is_its_upper_edge_without_the_handle():
     points, is_handle = things.mug()
-    rim = find_part(points, "rim", RULES["mug"]).mask
+    rim = find_part(points, "rim", LEXICON.rules["mug"]).mask
     assert points[rim, 2].min() > 0.06
     assert not (rim & is_handle & (points[:, 0] > 0.05)).any()
 
@@ -59,8 +59,8 @@ def test_a_bottles_cap_is_what_is_beyond_its_neck(lying):
     points, is_cap = things.bottle()
     if lying:
         points = points[:, [2, 1, 0]] + [0, 0, 0.04]
-    assert overlap(find_part(points, "cap", RULES["bottle"]).mask, is_cap) > 0.7
-    assert overlap(find_part(points, "body", RULES["bottle"]).mask, ~is_cap) > 0.9
+    assert overlap(find_part(points, "cap", LEXICON.rules["bottle"]).mask, is_cap) > 0.7
+    assert overlap(find_part(points, "body", LEXICON.rules["bottle"]).mask, ~is_cap) > 0.9
 
 
 @pytest.mark.parametrize("standing", [False, True])
@@ -72,9 +72,9 @@ def test_a_drills_handle_is_the_bridge_between_two_bulks(standing):
     truth = np.repeat([False, True, False], [len(body), len(grip), len(base)])
     if standing:
         points = points[:, [0, 2, 1]] + [0, 0, 0.104]
-    handle = find_part(points, "handle", RULES["drill"]).mask
+    handle = find_part(points, "handle", LEXICON.rules["drill"]).mask
     assert overlap(handle, truth) > 0.6
-    assert find_part(points, "body", RULES["drill"]).mask[truth].mean() < 0.25
+    assert find_part(points, "body", LEXICON.rules["drill"]).mask[truth].mean() < 0.25
 
 
 def dinosaur():
@@ -100,7 +100,7 @@ def test_an_animals_head_is_high_and_its_tail_tapers(yaw):
     points, names = dinosaur()
     points = things.turned(points, yaw)
     for part in ("head", "tail", "body", "leg"):
-        found = find_part(points, part, RULES["dinosaur"]).mask
+        found = find_part(points, part, LEXICON.rules["dinosaur"]).mask
         assert (names[found] == part).mean() > 0.75, part
         assert found.sum() > 0.5 * (names == part).sum(), part
 
@@ -108,15 +108,15 @@ def test_an_animals_head_is_high_and_its_tail_tapers(yaw):
 def test_what_the_shape_does_not_show_is_said():
     stick = things.box((-0.1, -0.01, 0.004), (0.1, 0.01, 0.02))
     with pytest.raises(PartNotFound, match="20 cm long and alike all along"):
-        find_part(stick, "handle", RULES["hammer"])
+        find_part(stick, "handle", LEXICON.rules["hammer"])
     with pytest.raises(PartNotFound, match="nothing sticks out"):
-        find_part(things.tube(0.04, 0.004, 0.09), "handle", RULES["mug"])
+        find_part(things.tube(0.04, 0.004, 0.09), "handle", LEXICON.rules["mug"])
     with pytest.raises(PartNotFound, match="a long tool shows no tail"):
-        find_part(things.hammer()[0], "tail", RULES["hammer"])
+        find_part(things.hammer()[0], "tail", LEXICON.rules["hammer"])
     with pytest.raises(PartNotFound, match="two bulky portions"):
-        find_part(things.tube(0.04, 0.004, 0.09, top=True), "handle", RULES["drill"])
+        find_part(things.tube(0.04, 0.004, 0.09, top=True), "handle", LEXICON.rules["drill"])
     with pytest.raises(PartNotFound, match="only 5 points"):
-        find_part(stick[:5], "handle", RULES["hammer"])
+        find_part(stick[:5], "handle", LEXICON.rules["hammer"])
 
 
 def test_a_block_is_like_nothing_that_has_parts():

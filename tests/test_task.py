@@ -3,8 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
+from tog_drake.lexicon import LEXICON
 from tog_drake.task import MAX_TASK_LENGTH, read_task
-from tog_drake.task_words import COLOUR_WORDS, PART_WORDS
 
 
 @pytest.mark.parametrize(
@@ -143,15 +143,15 @@ _SMALL_WORDS = """
     the a by not or and but so i me my hand give use with hold first facing away from avoid hammer
     mug cut drink for you it
 """
-_WORDS = sorted({*PART_WORDS, *COLOUR_WORDS, *_SMALL_WORDS.split()})
+_WORDS = sorted({*LEXICON.parts, *LEXICON.colours, *_SMALL_WORDS.split()})
 
 
 @given(st.lists(st.sampled_from(_WORDS), min_size=1, max_size=30))
 def test_any_order_of_words_is_read_and_no_part_is_both_held_and_avoided(words):
     reading = read_task(" ".join(words))
     assert not set(reading.parts) & set(reading.avoid)
-    assert set(reading.parts) | set(reading.avoid) <= set(PART_WORDS.values())
-    assert reading.colour is None or reading.colour in COLOUR_WORDS.values()
+    assert set(reading.parts) | set(reading.avoid) <= set(LEXICON.parts.values())
+    assert reading.colour is None or reading.colour in LEXICON.colours.values()
 
 
 @given(st.text(max_size=300))

@@ -13,9 +13,9 @@ from pydrake.geometry import GeometryId, QueryObject, SceneGraph
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 
 from tog_drake.errors import InputError
+from tog_drake.lexicon import LEXICON
 from tog_drake.panda import PAD_WIDTH
 from tog_drake.task import read_task
-from tog_drake.task_words import PART_WORDS
 from tog_drake.values import Array, Grasps
 
 
@@ -32,9 +32,12 @@ class ObjectParts:
     def allowed(self, task: str) -> frozenset[str] | None:
         """Returns the parts that the task allows to hold; None where its words do not say.
 
-        A part named in the task overrides its intent; a part to be avoided is taken away.
+        A part named in the task overrides its intent; a part to be avoided is taken away. None
+        is allowed, an empty set, where the task says to leave things alone.
         """
         reading = read_task(task)
+        if reading.forbidden:
+            return frozenset()
         avoided = self._parts_called(reading.avoid)
         if reading.parts:
             named = self._parts_called(reading.parts)
@@ -46,11 +49,11 @@ class ObjectParts:
         return None
 
     def _parts_called(self, words: tuple[str, ...]) -> frozenset[str]:
-        # A task's words for parts come in the spelling of PART_WORDS, labels as people say them.
+        # A task's words for parts come in the spelling of the lexicon, labels as people say them.
         return frozenset(
             part
             for part, called in self.part_words.items()
-            if {PART_WORDS.get(word, word) for word in (part, *called)} & set(words)
+            if {LEXICON.parts.get(word, word) for word in (part, *called)} & set(words)
         )
 
 

@@ -2,37 +2,19 @@
 
 ``read_task`` is shared by the geometric selector, which looks for the words in the cloud, and by
 the judge of task compliance, which maps them to the labelled parts of an object. It reads plain
-English by small word lists and the order of words; what it does not know it leaves out.
+English by the words of ``lexicon`` and the bones of the sentence (``grammar``); what it does not
+understand it names.
 """
 
-import re
-from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from typing import Literal
 
 from tog_drake.errors import InputError
-from tog_drake.task_words import (
-    COLOUR_WORDS,
-    DETERMINERS,
-    HANDOVER_VERBS,
-    HOLD_VERBS,
-    JOINING,
-    NEGATING_PAIRS,
-    NEGATORS,
-    NOUN_OR_VERB,
-    OFFERED,
-    OPENERS,
-    PART_WORDS,
-    PERSON,
-    PREPOSITIONS,
-    RECIPIENTS,
-    STOP,
-    USE_VERBS,
-    VAGUE_PARTS,
-    VERBS,
-)
+from tog_drake.grammar import G, Phrase, Verb, at, phrases_of, verbs_of, words_of
+from tog_drake.lexicon import LEXICON
 
 Intent = Literal["use", "handover", "hold"]
+_Role = Literal["hold", "avoid"]
 
 MAX_TASK_LENGTH = 1000  # characters; a task is a sentence or two
 
@@ -46,10 +28,12 @@ class TaskReading:
 
     text: str  # as given
     intent: Intent | None  # None: the words do not say
-    parts: tuple[str, ...]  # parts to hold, as in PART_WORDS, in the order named
+    parts: tuple[str, ...]  # parts to hold, by their names in the lexicon, in the order named
     avoid: tuple[str, ...]  # parts not to hold, likewise
-    colour: str | None  # of the object to grasp, as in COLOUR_WORDS
+    colour: str | None  # of the object to grasp, by its name in the lexicon
     objects: tuple[str, ...]  # nouns, the one most likely to be grasped first
+    unknown: tuple[str, ...] = ()  # words that say where or what for, but are not understood
+    forbidden: bool = False  # the task says to leave things alone: "don't pick anything up"
 
 
 def read_task(text: str) -> TaskReading:
@@ -63,213 +47,232 @@ def read_task(text: str) -> TaskReading:
             f"The task has {len(text)} characters; at most {MAX_TASK_LENGTH} are read. "
             "Say it in a sentence, such as 'hand me the hammer'."
         )
-    words = _words(text)
+    words = words_of(text)
     if not words:
         raise InputError(
             f"The task {text.strip()!r} has no words. Say what to do, such as 'hand me the hammer'."
         )
-    verbs = [i for i in range(len(words)) if _is_use_verb(words, i)]
-    intent = _intent(words, verbs)
-    parts, avoid = _parts(words, verbs)
-    phrases = list(_noun_phrases(words, verbs))
-    objects = tuple(o for o in _objects(words, verbs, phrases, intent) if o not in parts + avoid)
-    colour = _colour(words, phrases, objects)
-    return TaskReading(text, intent, parts, avoid, colour, objects)
+    verbs = verbs_of(words)
+    phrases = phrases_of(words, verbs)
+    intent = _intent(verbs)
+    parts, avoid = _parts(words, phrases)
+    objects, colour = _objects(words, verbs, phrases, intent, parts + avoid)
+    return TaskReading(
+        text=text,
+        intent=intent,
+        parts=parts,
+        avoid=avoid,
+        colour=colour,
+        objects=objects,
+        unknown=_unknown(words, phrases, said=bool(intent or parts or avoid)),
+        forbidden=not parts and not avoid and _is_forbidden(words, verbs, phrases),
+    )
 
 
-def _words(text: str) -> list[str]:
-    """Lower-case words; "don't" and "dont" are one word, "hammer's" is "hammer"."""
-    plain = re.sub("[’‘`´]", "'", text.casefold())
-    plain = re.sub(r"'s\b", "", plain).replace("'", "")
-    return [_singular(word) for word in re.findall(r"[^\W_]+", plain)]
-
-
-def _singular(word: str) -> str:
-    if word in PART_WORDS or word in STOP or len(word) < 4 or word.endswith(("ss", "scissors")):
-        return word
-    stem = word[:-1] if word.endswith("s") else word
-    if stem.endswith("ing") and stem not in STOP:  # cutting, pouring, driving
-        base = stem[:-3]
-        for verb in (base, base + "e", base[:-1]):
-            if verb in USE_VERBS or verb in HOLD_VERBS:
-                return verb
-    return stem
-
-
-def _at(words: list[str], i: int) -> str:
-    return words[i] if 0 <= i < len(words) else ""
-
-
-def _is_use_verb(words: list[str], i: int) -> bool:
-    """Whether word i asks the robot to use something; nouns and the person's own doing do not."""
-    word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
-    if word not in USE_VERBS or before in DETERMINERS or before in COLOUR_WORDS:
-        return False
-    if word in NOUN_OR_VERB:
-        opens = before in OPENERS or before in {"", "for"}
-        takes = after in DETERMINERS | PREPOSITIONS | {"it", "one", "something"}
-        if not (opens and (takes or word == "use" or before == "for")):
-            return False
-    lead = words[max(0, i - 4) : i]
-    for_person = PERSON & set(lead) or ("for" in lead and RECIPIENTS & set(lead))
-    return not for_person or "you" in lead or "robot" in lead
-
-
-def _is_handover(words: list[str], i: int) -> bool:
-    word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
-    if word in {"hand", "hands"}:
-        mine = _at(words, i - 2) in {"in", "into", "to"} and before in DETERMINERS
-        verb = after in RECIPIENTS | DETERMINERS | {"over", "it"}
-        return mine or (verb and before not in DETERMINERS | {"left", "right", "one"})
-    if after in RECIPIENTS and word in {"get", "grab", "find", "pick", "take", "show"}:
-        return _at(words, i + 2) not in {"by", "to", ""}  # "get me the mug", not "take me to"
-    if word == "have" and before in {"i", "me"}:
-        return True  # "can I have the mug", "let me have it"
-    return word in HANDOVER_VERBS and before not in DETERMINERS
-
-
-def _intent(words: list[str], use_verbs: list[int]) -> Intent | None:
+def _intent(verbs: list[Verb]) -> Intent | None:
     """The first verb that asks for use or handover; else hold, where a verb says so."""
-    for i, word in enumerate(words):
-        if i in use_verbs:
-            return "use"
-        if _is_handover(words, i):
-            return "handover"
-        if word == "for" and _at(words, i + 1) == "use":
-            return "use"
-    return "hold" if HOLD_VERBS & set(words) else None
+    asked = [verb for verb in verbs if verb.by_robot and verb.sense != "mishap"]
+    for verb in asked:
+        if not verb.negated and verb.sense in {"use", "handover"}:
+            return "use" if verb.sense == "use" else "handover"
+    # "do not grab it by the handle" still asks to hold it.
+    return "hold" if any(verb.sense == "hold" for verb in asked) else None
 
 
-def _parts(words: list[str], use_verbs: list[int]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _is_forbidden(words: list[str], verbs: list[Verb], phrases: list[Phrase]) -> bool:
+    """Whether the task asks to leave things alone and for nothing else."""
+    acts = [verb for verb in verbs if verb.by_robot and verb.sense != "mishap"]
+    if any(not verb.negated for verb in acts):
+        return False
+    return bool(
+        any(verb.negated for verb in acts)
+        or any(phrase.negated for phrase in phrases if phrase.verb is None)
+        or G.stops & set(words)
+    )
+
+
+def _parts(words: list[str], phrases: list[Phrase]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Parts to hold and parts to avoid, each once, in the order named."""
-    positive: dict[str, None] = {}
-    negative: dict[str, None] = {}
-    for i, word in enumerate(words):
-        if word not in PART_WORDS or _is_object_or_verb(words, i):
-            continue
-        if _is_avoided(words, i):
-            negative[PART_WORDS[word]] = None
-        elif not _is_acted_with(words, i, use_verbs) and not _points_away(words, i):
-            positive[PART_WORDS[word]] = None
-    return tuple(p for p in positive if p not in negative), tuple(negative)
+    roles: dict[_Role, dict[str, None]] = {"hold": {}, "avoid": {}}
+    for phrase in phrases:
+        for i in range(phrase.begin, phrase.end):
+            if words[i] in LEXICON.parts and _means_part(words, i, phrase):
+                role = _role(words, i, phrase)
+                if role is not None:
+                    roles[role][LEXICON.parts[words[i]]] = None
+    avoid = tuple(roles["avoid"])
+    return tuple(part for part in roles["hold"] if part not in avoid), avoid
 
 
-def _governor(words: list[str], i: int) -> int:
-    """Index of the verb or preposition before the noun phrase that word i ends; −1 for none."""
-    j = i - 1
-    while j >= 0 and (words[j] in DETERMINERS or words[j] not in STOP or words[j] == "only"):
-        j -= 1
-    return j
-
-
-def _is_object_or_verb(words: list[str], i: int) -> bool:
-    """Whether a part word means something else: "handle it with care", "a bowl", "on top of"."""
-    word, before, after = words[i], _at(words, i - 1), _at(words, i + 1)
-    first = before in OPENERS or before == ""
-    if word in {"handle", "head", "grip", "face", "point", "top"} and first:
-        return after in DETERMINERS | {"it", "to", "with", "at"}
-    if word in VAGUE_PARTS:
-        return _at(words, _governor(words, i)) not in {"by", "at", "from"} | HOLD_VERBS
+def _means_part(words: list[str], i: int, phrase: Phrase) -> bool:
+    """Whether a part word means one: not "a bowl", "on top of the box", "by the back wall"."""
+    word, before, after = words[i], at(words, i - 1), at(words, i + 1)
+    if word in G.vague_parts:
+        if after == "of" and at(words, i + 2) in G.determiners and phrase.lead not in G.locatives:
+            return True
+        by = phrase.lead in {"by", "at", "from", "around", "with"} or before in G.determiners
+        owned = before in LEXICON.rules
+        held = (phrase.verb is not None and phrase.lead == phrase.verb.word) or phrase.negated
+        offered = _is_offered(words, i)
+        return phrase.lead not in G.locatives - {"around"} and (
+            phrase.lead in {"by", "at", "from", "around"} or (held and (by or owned)) or offered
+        )
     if word == "bowl":  # of a spoon only where it is said so
-        said = _at(words, _governor(words, i)) == "by" or _at(words, i + 1) == "of"
-        return not (said or (before not in STOP | set(COLOUR_WORDS) and before != ""))
-    return False
+        owned = after == "of" or before in LEXICON.rules or before in {"its", "s"}
+        return owned or phrase.lead == "by" or (phrase.negated and phrase.lead in {"by", "touch"})
+    return not (word in {"head", "neck"} and phrase.lead in {"over", "above"})
 
 
-def _is_avoided(words: list[str], i: int) -> bool:
-    after = _at(words, i + 1)
-    if after in {"is", "end", "side"}:
-        after = _at(words, i + 2)
-    if after in OFFERED and not _points_away(words, i):
-        return True
-    lead = words[max(0, i - 8) : i]
-    if "so" in lead and PERSON & set(lead[lead.index("so") :]) and "you" not in lead:
-        return True  # "... so that I can take the handle"
-    return _is_negated(words, i)
+def _role(words: list[str], i: int, phrase: Phrase) -> _Role | None:
+    """What a task says of a part: to hold it, to keep off it, or neither."""
+    verb, lead, part = phrase.verb, phrase.lead, LEXICON.parts[words[i]]
+    if _points_away(words, i):
+        return None
+    if phrase.negated:
+        return "avoid"
+    if _is_offered(words, i):
+        return "hold" if at(words, i + 2) in G.robot or at(words, i + 3) in G.robot else "avoid"
+    if _is_bad(words, i):
+        return "avoid"
+    if verb is None:
+        return "hold" if lead != "with" or part == "handle" else None
+    if not verb.by_robot:  # what the person will hold is left free
+        return "avoid" if verb.sense in {"hold", "handover"} and verb.word != "want" else None
+    if lead in {"by", "at", "around"}:
+        return "hold"
+    if lead in {"with", "using"}:
+        described = at(words, i - 1) not in G.determiners | {"with", "using"} | set(LEXICON.rules)
+        return "hold" if part == "handle" and not described else None
+    if verb.sense == "handover":  # "give me the handle": then the person holds it
+        return "avoid" if lead in G.recipients | {verb.word} else "hold"
+    if verb.sense == "use":
+        return _role_in_use(words, i, phrase, verb)
+    if verb.sense == "mishap":
+        return None
+    return "hold"
+
+
+def _role_in_use(words: list[str], i: int, phrase: Phrase, verb: Verb) -> _Role | None:
+    """ "clean the blade" acts on the blade, "use the head" with it; "squeeze the trigger" holds."""
+    part = LEXICON.parts[words[i]]
+    if phrase.lead in {"on", "in", "into", "onto", "from", "against", "for", "to"}:
+        return None
+    if verb.word == "use" or verb.word == "operate":
+        return "hold" if part == "handle" else None
+    if verb.word in G.grip_verbs:
+        return "hold"
+    return "avoid"
+
+
+def _is_offered(words: list[str], i: int) -> bool:
+    """ "handle first", "the handle facing me", "leave the handle free"."""
+    j = i + 2 if at(words, i + 1) in {"is", "end", "side", "part"} else i + 1
+    after, then = at(words, j), at(words, j + 1)
+    if after not in G.offered:
+        return False
+    people = G.recipients | G.robot | {"the", "my", "person", "human", "user"}
+    if after in {"facing", "towards", "toward", "pointing"}:
+        return then in people or then in {"towards", "toward", "to", "at", "out", "outward"}
+    if after in {"for", "to"}:
+        return then in G.recipients and at(words, j + 2) not in {"to"}
+    return after != "first" or then not in G.determiners | {"then"}
+
+
+def _is_bad(words: list[str], i: int) -> bool:
+    """ "the handle is hot", "by the part that is not hot" apart."""
+    copula, tail = at(words, i + 1), words[i + 2 : i + 5]
+    return copula in {"is", "are", "look", "looks", "was", "get", "feels"} and (
+        bool(G.bad & set(tail)) and "not" not in tail
+    )
 
 
 def _points_away(words: list[str], i: int) -> bool:
     """ "with the blade pointing away from me" names no part to hold."""
-    tail = words[i + 1 : i + 4]
-    return "away" in tail and bool({"facing", "pointing", "is", "turned"} & set(tail))
-
-
-def _is_negated(words: list[str], i: int) -> bool:
-    """Whether a "not" reaches word i: over one verb at most, over no other part but by "or"."""
-    verbs = 0
-    j = i - 1
-    while j >= max(0, i - 8):
-        if words[j] in NEGATORS or (_at(words, j - 1), words[j]) in NEGATING_PAIRS:
-            return words[j + 1] != "only"
-        if words[j] in PART_WORDS:
-            between = set(words[j + 1 : i])
-            joined = between & {"or", "nor", "and"} and between <= JOINING | DETERMINERS
-            return bool(joined) and _is_negated(words, j)
-        verbs += words[j] in VERBS
-        if verbs > 1 or words[j] == "but":
-            return False
-        j -= 1
-    return False
-
-
-def _is_acted_with(words: list[str], i: int, use_verbs: list[int]) -> bool:
-    """ "use the head of the hammer", "hit the nail on the head": a part, but not to be held."""
-    g = _governor(words, i)
-    if PART_WORDS[words[i]] == "handle" or g < 0:
-        return False
-    if words[g] in {"use", "using", "with"}:
-        return True
-    verbs_before = [v for v in use_verbs if v < g]
-    return words[g] in {"on", "in", "into", "onto", "from", "against"} and bool(verbs_before)
-
-
-def _noun_phrases(words: list[str], use_verbs: list[int]) -> Iterator[tuple[int, int]]:
-    """Runs of words between stop words, as (begin, end)."""
-    begin = 0
-    for i in range(len(words) + 1):
-        if i == len(words) or words[i] in STOP or i in use_verbs:
-            if i > begin:
-                yield begin, i
-            begin = i + 1
-
-
-def _noun(words: list[str], phrase: tuple[int, int]) -> str | None:
-    """The last word of a phrase that is neither a part nor a colour; a lone colour is a fruit."""
-    run = words[slice(*phrase)]
-    nouns = [w for w in run if w not in COLOUR_WORDS and (w not in PART_WORDS or w == "bowl")]
-    if nouns:
-        return nouns[-1]
-    return "orange" if run == ["orange"] else None
+    return "away" in words[i + 1 : i + 4] and not set(words[i + 1 : i + 4]) & {"by", "not"}
 
 
 def _objects(
-    words: list[str], use_verbs: list[int], phrases: list[tuple[int, int]], intent: Intent | None
-) -> tuple[str, ...]:
-    """Nouns in order, but first the one that is used, handed over or held."""
-    nouns = [
-        (_at(words, _governor(words, end)), noun)
-        for begin, end in phrases
-        if (noun := _noun(words, (begin, end)))
+    words: list[str],
+    verbs: list[Verb],
+    phrases: list[Phrase],
+    intent: Intent | None,
+    parts: tuple[str, ...],
+) -> tuple[tuple[str, ...], str | None]:
+    """Nouns, first the one that is used, handed over or held; and the colour of that one."""
+    nouns = [(phrase, noun) for phrase in phrases if (noun := _noun(phrase, parts))]
+    meant = [
+        (phrase, noun)
+        for phrase, noun in nouns
+        if not phrase.negated and phrase.lead not in G.locatives - {"around"}
     ]
-    if intent == "use":
-        marks: list[Set[str]] = [{"use"}, {"with"}, {"from"}, HOLD_VERBS]
-    else:
-        marks = [HANDOVER_VERBS | RECIPIENTS | HOLD_VERBS]
-    first = [noun for mark in marks for governor, noun in nouns if governor in mark][:1]
-    if intent == "use" and not first:
-        first = [tool for i in use_verbs if (tool := USE_VERBS[words[i]])][:1]
-    return tuple(dict.fromkeys(first + [noun for _, noun in nouns]))
+    first = _first(meant, intent)
+    if intent == "use" and first is None:
+        first = _implied(verbs, parts)
+    if first is None and meant:
+        first = next((n for _, n in meant if n in LEXICON.rules), meant[0][1])
+    rest = [noun for _, noun in sorted(nouns, key=lambda item: item[0].negated)]
+    objects = tuple(dict.fromkeys(([first] if first else []) + rest)) if meant or first else ()
+    return objects, _colour(phrases, objects, parts)
 
 
-def _colour(
-    words: list[str], phrases: list[tuple[int, int]], objects: tuple[str, ...]
-) -> str | None:
+def _first(nouns: list[tuple[Phrase, str]], intent: Intent | None) -> str | None:
+    marks: list[frozenset[str]] = [frozenset({"use"}), frozenset({"with", "using"})]
+    marks += [frozenset({"from"}), G.hold_verbs | G.handover_verbs | G.recipients]
+    for mark in marks if intent == "use" else [marks[-1] | {"need", "want", "like", "have"}]:
+        marked = [noun for phrase, noun in nouns if phrase.lead in mark]
+        known = [noun for noun in marked if noun in LEXICON.rules]
+        if known or (marked and mark != {"from"}):
+            return (known or marked)[0]
+    return None
+
+
+def _implied(verbs: list[Verb], parts: tuple[str, ...]) -> str | None:
+    """The tool that a verb implies; none where it acts on a part: "unscrew the cap"."""
+    for verb in verbs:
+        if verb.by_robot and not verb.negated and verb.sense == "use":
+            tool = LEXICON.use_verbs.get(verb.word, "")
+            if tool and not parts:
+                return tool
+    return None
+
+
+def _noun(phrase: Phrase, parts: tuple[str, ...]) -> str | None:
+    """The last word of a phrase that is neither part nor colour; a lone colour is a fruit."""
+    run = phrase.words
+    bare = [w for w in run if w not in LEXICON.colours and w not in LEXICON.parts]
+    known = [w for w in bare if w in LEXICON.rules]
+    if known or bare:
+        return (known or bare)[-1]
+    if LEXICON.parts.get(run[-1]) == "bowl" and "bowl" not in parts:
+        return run[-1]
+    return "orange" if run == ("orange",) else None
+
+
+def _colour(phrases: list[Phrase], objects: tuple[str, ...], parts: tuple[str, ...]) -> str | None:
     """The colour in the phrase of the object, or one that stands alone ("the red one")."""
-    for begin, end in phrases:
-        noun = _noun(words, (begin, end))
-        run = words[begin:end]
-        named = [COLOUR_WORDS[w] for w in run if w in COLOUR_WORDS]
-        alone = noun is None and not any(w in PART_WORDS for w in run)
-        if named and (alone or (objects and noun == objects[0])):
+    for phrase in phrases:
+        noun = _noun(phrase, parts)
+        named = [LEXICON.colours[w] for w in phrase.words if w in LEXICON.colours]
+        alone = noun is None and not any(w in LEXICON.parts for w in phrase.words)
+        if named and not phrase.negated and (alone or (objects and noun == objects[0])):
             return named[0]
     return None
+
+
+def _unknown(words: list[str], phrases: list[Phrase], *, said: bool) -> tuple[str, ...]:
+    """What is not understood: "by the gizmo"; where nothing else is said, every strange word."""
+    strange = [
+        w
+        for phrase in phrases
+        for w in phrase.words
+        if w not in LEXICON.vocabulary
+    ]  # fmt: skip
+    if not said:
+        return tuple(dict.fromkeys(strange))
+    named = {*LEXICON.rules, *LEXICON.parts, *LEXICON.colours, *G.places, *G.measures}
+    found = [
+        phrase.words[-1]
+        for phrase in phrases
+        if phrase.lead == "by" and not set(phrase.words) & named
+    ]
+    return tuple(dict.fromkeys(found))

@@ -119,7 +119,8 @@ class Candidates:
         return Candidates(Grasps.empty(), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
-ChoiceStatus = Literal["ok", "part_not_found", "unclear_task", "no_grasp_on_part"]
+ChoiceStatus = Literal["ok", "unresolved", "part_not_found", "no_grasp_on_part"]
+"""unresolved: the task's words are not understood, or say neither part nor purpose."""
 
 
 @dataclass(frozen=True)

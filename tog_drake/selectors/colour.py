@@ -54,7 +54,7 @@ def rivals(name: str) -> list[str]:
 
 
 def fit(rgb: NDArray[np.uint8], name: str) -> Array:
-    """Returns how well a name of ``task_words.COLOUR_WORDS`` fits each colour (N, 3): (N,) 0..1.
+    """Returns how well a name of the lexicon's colours fits each colour (N, 3): (N,) 0..1.
 
     Neighbouring names overlap, so that compared with each other things can be told apart under
     any lamp: a salmon drill is the most orange thing where nothing else is.

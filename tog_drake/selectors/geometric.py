@@ -11,10 +11,10 @@ import numpy as np
 from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
-from tog_drake.errors import NoChoice
+from tog_drake.errors import InputError, NoChoice, NoGrasp
+from tog_drake.lexicon import LEXICON, Rule
 from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH
 from tog_drake.selector import choose
-from tog_drake.selectors.kinds import HOLD_FOR_USE, Rule
 from tog_drake.selectors.parts import PartNotFound, Region, find_part, rule_of
 from tog_drake.selectors.segmentation import Mask
 from tog_drake.selectors.targets import find_target
@@ -30,6 +30,10 @@ class Geometric:
 
     min_on_part: float = 0.5
     """A grasp is on a part when at least this share of the points between the pads is."""
+    unresolved: str = "fail"
+    """What to do where the words are not understood, or the part that they name is not seen or has
+    no grasp on it: "fail" raises NoChoice, "top-score" takes the best grasp on the object that
+    is not on a part to be avoided, and says so in the choice's status."""
     margin: float = 0.03
     """[m] A grasp this far inside its part is as good as any; nearer its edge it counts less."""
 
@@ -49,23 +53,29 @@ class GeometricSelector:
     """Chooses by the words of the task and the shape of the cloud."""
 
     def __init__(self, config: Geometric, workspace: Workspace):
+        if config.unresolved not in ("fail", "top-score"):
+            raise InputError(
+                f"!Geometric: unresolved: {config.unresolved!r}; valid: fail, top-score"
+            )
         self._config = config
         self._table = workspace.table_height
 
     def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
         """Returns the best grasp on the part that the task asks for.
 
-        Its status is "part_not_found" or "no_grasp_on_part" where the part could not be had and
-        another grasp on the same object was taken, "unclear_task" where the words ask for nothing
-        in particular.
-
-        Raises NoChoice where it cannot tell which object is meant or no grasp is on it, InputError
-        where the task is empty.
+        Raises:
+            NoChoice: it cannot tell which object is meant, the task says to leave things alone,
+                every grasp is on a part to be avoided, or, where ``unresolved`` is "fail", the
+                part cannot be told or had.
+            NoGrasp: no grasp is on the object.
+            InputError: the task is empty.
         """
         reading = read_task(task)
+        if reading.forbidden:
+            raise NoChoice(f"The task {task!r} says to leave things alone; so does the robot.")
         grasps = candidates.grasps
         if len(grasps) == 0:
-            raise NoChoice("There is no feasible grasp to choose from.")
+            raise NoGrasp("There is no feasible grasp to choose from.")
         points = np.asarray(cloud.xyzs().T, dtype=np.float64) - [0.0, 0.0, self._table]
         rgb = np.asarray(cloud.rgbs().T, dtype=np.uint8)
         normals = np.asarray(cloud.normals().T, dtype=np.float64)
@@ -73,7 +83,10 @@ class GeometricSelector:
         grasps = _lowered(grasps, self._table)
         on_target = _on_target(grasps, points, target.mask)
         if not on_target.any():
-            raise NoChoice(f"{target.how}; none of {len(grasps)} grasps is on it.")
+            raise NoGrasp(
+                f"{target.how}; none of {len(grasps)} feasible grasps is on it. Turn it, or "
+                "clear what is around it."
+            )
         wanted = _wanted(reading, points[target.mask])
         held = _Held(grasps, points[target.mask])
         fits = on_target & held.on(wanted.mask, self._config.min_on_part)
@@ -83,12 +96,27 @@ class GeometricSelector:
             if not fits.any():
                 avoided = " and ".join(reading.avoid)
                 raise NoChoice(f"{target.how}; every grasp on it is on its {avoided}.")
-            status, part = "no_grasp_on_part", None
-            how += f"; none of {fits.sum()} grasps on the object is there, so the best elsewhere"
+            if status == "ok":
+                status, part = "no_grasp_on_part", None
+                how += f"; none of {on_target.sum()} grasps on the object is there"
+        if status != "ok":
+            if self._config.unresolved == "fail":
+                raise NoChoice(f"{target.how}; {how}. {_advice(status)}")
+            how += "; any grasp on the object instead"
         worth = np.where(fits, held.value(wanted.mask, self._config.margin), -np.inf)
         index = int(np.argmax(worth))
         reason = f"{target.how}; {how}; best of {fits.sum()} grasps."
         return choose(index, view, candidates, reason, status=status, part=part, worth=worth)
+
+
+def _advice(status: ChoiceStatus) -> str:
+    """What to do where the part cannot be told or had."""
+    if status == "unresolved":
+        return (
+            "Understood are: " + ", ".join(sorted(set(LEXICON.parts.values()))) + " as parts, "
+            "and 'use', 'hand me', 'pick up' or a verb such as pour, cut, stir as purpose."
+        )
+    return "Show it from another side, name another part, or set unresolved: top-score."
 
 
 class _Held:
@@ -153,27 +181,27 @@ def _between(grasps: Grasps, points: Array) -> Mask:
 def _wanted(reading: TaskReading, thing: Array) -> _Wanted:
     """Where the task asks to grasp the target; everywhere where it does not say."""
     everywhere, nowhere = np.ones(len(thing), dtype=bool), np.zeros(len(thing), dtype=bool)
+    if reading.unknown:
+        how = "not understood: " + ", ".join(map(repr, reading.unknown))
+        return _Wanted(everywhere, nowhere, None, "unresolved", how)
     if not (reading.parts or reading.avoid or reading.intent in {"use", "handover"}):
         if reading.intent == "hold":
             how = "the task names no part, so any will do"
             return _Wanted(everywhere, nowhere, None, "ok", how)
         how = "the task says neither part nor purpose"
-        return _Wanted(everywhere, nowhere, None, "unclear_task", how)
+        return _Wanted(everywhere, nowhere, None, "unresolved", how)
     try:
         rule, how = rule_of(reading.objects, thing)
         names = _names(reading, rule)
         regions, missing = _find(thing, names, rule)
         avoided, unseen = _find(thing, reading.avoid, rule)
     except PartNotFound as not_found:
-        how = f"{not_found}; any grasp on the object instead"
-        return _Wanted(everywhere, nowhere, None, "part_not_found", how)
+        return _Wanted(everywhere, nowhere, None, "part_not_found", str(not_found))
     how = "; ".join([how, *(region.how for region in regions.values()), *missing, *unseen])
     for name in avoided:
         how += f"; away from its {name}"
     out = np.any([nowhere, *(region.mask for region in avoided.values())], axis=0)
     mask = np.any([region.mask for region in regions.values()], axis=0) if regions else everywhere
-    if names and not regions:
-        how += "; any grasp on the object instead"
     lost = (names and not regions) or unseen
     status: ChoiceStatus = "part_not_found" if lost else "ok"
     return _Wanted(mask & ~out, out, " or ".join(regions) or None, status, how)
@@ -194,6 +222,6 @@ def _names(reading: TaskReading, rule: Rule) -> tuple[str, ...]:
     """The parts to hold: those named, else that of the intent unless it is to be avoided."""
     if reading.parts:
         return reading.parts
-    by_intent = {"use": HOLD_FOR_USE[rule.kind], "handover": rule.working}
+    by_intent = {"use": LEXICON.kinds[rule.kind].use, "handover": rule.working}
     part = by_intent.get(reading.intent or "")
     return (part,) if part is not None and part not in reading.avoid else ()

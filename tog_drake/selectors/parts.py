@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from tog_drake.selectors.kinds import PHRASES, RULES, Kind, Rule
+from tog_drake.lexicon import LEXICON, Kind, Rule
 from tog_drake.selectors.shapes import (
     MIN_POINTS,
     PROTRUSION,
@@ -59,8 +59,8 @@ class Region:
 def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
     """Returns the rule of the first noun known, else that of the shape, and how it was told."""
     for noun in nouns:
-        if noun in RULES:
-            return RULES[noun], f"read as {PHRASES[RULES[noun].kind]}"
+        if noun in LEXICON.rules:
+            return LEXICON.rules[noun], f"read as {_called(LEXICON.rules[noun])}"
     frame = Frame(points)
     circle = round_body(points)
     if circle is not None and protrusion(points, circle) is not None:
@@ -70,6 +70,10 @@ def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
     if frame.length > MIN_ELONGATION * frame.width:
         return Rule("tool", "head"), "long and lying, so a tool"
     raise PartNotFound("its shape is neither long, nor round with a handle, nor upright")
+
+
+def _called(rule: Rule) -> str:
+    return LEXICON.kinds[rule.kind].called
 
 
 def likeness(points: Array, kind: Kind) -> float:
@@ -92,7 +96,7 @@ def likeness(points: Array, kind: Kind) -> float:
 
 
 def find_part(points: Array, part: str, rule: Rule) -> Region:
-    """Returns the region of ``part`` (a name of ``task_words.PART_WORDS``).
+    """Returns the region of ``part`` (a name of the lexicon).
 
     Args:
         points: (N, 3) [m] of one thing, in a frame with z up and the table at z = 0.
@@ -110,7 +114,7 @@ def find_part(points: Array, part: str, rule: Rule) -> Region:
     }[rule.kind]
     region = _level(points, part) or find(points, part, rule)
     if region is None:
-        raise PartNotFound(f"{PHRASES[rule.kind]} shows no {part}")
+        raise PartNotFound(f"{_called(rule)} shows no {part}")
     if region.mask.sum() < MIN_POINTS:
         raise PartNotFound(f"its {part} is hidden or too small: {region.mask.sum()} points seen")
     return region

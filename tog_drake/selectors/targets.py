@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tog_drake.errors import NoChoice
+from tog_drake.lexicon import LEXICON
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
-from tog_drake.selectors.kinds import RULES
 from tog_drake.selectors.parts import likeness
 from tog_drake.selectors.segmentation import Labels, Mask, cut_out, is_heap, segment
 from tog_drake.task import TaskReading
-from tog_drake.task_words import COLOUR_WORDS
 from tog_drake.values import Array
 
 MIN_FIT = 0.10  # of a colour name, averaged over a thing: less is another colour
@@ -48,7 +47,7 @@ def find_target(
     things = _masks(segment(points, chroma))
     if not things:
         raise NoChoice("Nothing that stands on the table is large enough to be an object.")
-    noun = next((noun for noun in reading.objects if noun in RULES), "")
+    noun = next((noun for noun in reading.objects if noun in LEXICON.rules), "")
     if reading.colour is not None:
         rgb = white_balanced(rgb, image)
         fits = fit(rgb, reading.colour)
@@ -117,10 +116,10 @@ def _shaped(noun: str, points: Array, things: list[Mask]) -> list[Mask]:
     """The things most like the noun; none where it is not known or nothing is like it."""
     if not noun:
         return []
-    like = np.array([likeness(points[thing], RULES[noun].kind) for thing in things])
+    like = np.array([likeness(points[thing], LEXICON.rules[noun].kind) for thing in things])
     return [things[i] for i in np.flatnonzero((like > 0) & (like >= like.max()))]
 
 
 def _colour_of(rgb: NDArray[np.uint8]) -> str:
-    names = sorted(set(COLOUR_WORDS.values()))
+    names = sorted(set(LEXICON.colours.values()))
     return max(names, key=lambda name: float(fit(rgb, name).mean()))
