@@ -197,9 +197,9 @@ def test_a_part_that_cannot_be_told_apart_is_said_and_not_guessed(tmp_path):
     done = tog(
         "choose", *files, "--task", "hold it by the blade", "--json", "--out", tmp_path / "out"
     )
-    choice = json.loads(done.out)["choice"]
-    assert choice["status"] != "ok"
-    assert f"status: {choice['status']}" in done.err
+    record = json.loads(done.out)
+    assert (done.status, record["outcome"], record["choice"]) == (1, "no_choice", None)
+    assert "alike all along" in record["message"]
 
 
 def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_path):
