@@ -199,7 +199,7 @@ def test_a_part_that_cannot_be_told_apart_is_said_and_not_guessed(tmp_path):
     )
     record = json.loads(done.out)
     assert (done.status, record["outcome"], record["choice"]) == (1, "no_choice", None)
-    assert "alike all along" in record["message"]
+    assert "shows no blade" in record["message"]
 
 
 def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_path):

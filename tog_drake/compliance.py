@@ -13,6 +13,7 @@ from pydrake.geometry import GeometryId, QueryObject, SceneGraph
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 
 from tog_drake.errors import InputError
+from tog_drake.grammar import lemma
 from tog_drake.lexicon import LEXICON
 from tog_drake.panda import PAD_WIDTH
 from tog_drake.task import read_task
@@ -53,7 +54,7 @@ class ObjectParts:
         return frozenset(
             part
             for part, called in self.part_words.items()
-            if {LEXICON.parts.get(word, word) for word in (part, *called)} & set(words)
+            if {LEXICON.parts.get(lemma(word), word) for word in (part, *called)} & set(words)
         )
 
 
