@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pytest
@@ -32,6 +33,12 @@ def test_a_hammer_is_lifted_by_the_handle_to_use_it_and_by_the_head_to_hand_it_o
         assert record["held"][part] >= 0.8
         assert record["allowed"] == [part]
         assert record["lift"] >= 0.10
+        assert 0.0 <= record["turned"] <= 10.0
+        assert record["strict_success"]
+        assert record["collisions"] == {}
+        assert set(record["feasible_by_part"]) == {"handle", "head"}
+        assert record["feasible_by_part"][part] > 0
+        assert sum(record["feasible_by_part"].values()) <= record["counts"]["feasible"]
 
 
 def test_the_record_is_complete_and_is_json(episodes):
@@ -98,6 +105,56 @@ def test_an_object_out_of_view_ends_the_episode_with_its_reason():
     assert record["choice"] is None
     assert record["grasp_success"] is False
     assert record["counts"]["points"] is None
+
+
+CARTON = """<sdf version="1.9" xmlns:drake="http://drake.mit.edu">
+<model name="carton"><link name="base"><inertial><mass>0.1</mass><inertia>
+<ixx>1e-4</ixx><iyy>5e-4</iyy><izz>5e-4</izz></inertia></inertial>{boxes}</link></model></sdf>"""
+BOX = """<{kind} name="{name}"><pose>{at} 0 0 0</pose>
+<geometry><box><size>{size}</size></box></geometry>{contact}</{kind}>"""
+CONTACT = """<drake:proximity_properties><drake:compliant_hydroelastic/>
+<drake:hydroelastic_modulus>1e7</drake:hydroelastic_modulus></drake:proximity_properties>"""
+SIDES = {
+    "top": ("0 0 0.048", "0.26 0.07 0.004"),
+    "left": ("0 0.033 0.023", "0.26 0.004 0.046"),
+    "right": ("0 -0.033 0.023", "0.26 0.004 0.046"),
+    "front": ("0.128 0 0.023", "0.004 0.062 0.046"),
+    "rear": ("-0.128 0 0.023", "0.004 0.062 0.046"),
+}
+UNDER_A_CARTON = """
+directives:
+- add_directives: {{file: package://tog_drake/scenes/table.dmd.yaml}}
+- add_model:
+    name: screwdriver
+    file: package://tog_drake/objects/screwdriver/screwdriver.sdf
+    default_free_body_pose: {{base: {{translation: [0.55, 0, 0.001]}}}}
+- add_model:
+    name: carton
+    file: {carton}
+    default_free_body_pose: {{base: {{translation: [0.55, 0, 0.001]}}}}
+pipeline: {{selector: !Oracle {{}}}}
+"""
+
+
+def test_a_target_buried_under_something_else_is_no_grasp_and_says_that_it_is_hidden(tmp_path):
+    boxes = "".join(
+        BOX.format(kind=kind, name=name, at=at, size=size, contact=contact)
+        for name, (at, size) in SIDES.items()
+        for kind, contact in (("visual", ""), ("collision", CONTACT))
+    )
+    path = tmp_path / "carton.sdf"
+    path.write_text(CARTON.format(boxes=boxes))
+    scenario = load_scenario("Hammer", UNDER_A_CARTON.format(carton=path.as_uri()))
+    record = run_episode(scenario, name="buried", task="use the screwdriver").record
+    assert record["outcome"] == "no_grasp"
+    assert record["counts"]["feasible"] > 0
+    assert re.search(
+        r"none of \d+ feasible grasps is on screwdriver: 0 of the cloud's \d+ points are on it",
+        record["message"],
+    )
+    assert record["feasible_by_part"] == {"handle": 0, "shaft": 0}
+    assert record["grasp_success"] is record["strict_success"] is False
+    assert record["collisions"] is record["turned"] is None
 
 
 def test_what_the_scenario_lacks_is_said_with_what_it_has():

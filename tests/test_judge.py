@@ -4,26 +4,44 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
 
 from tog_drake.compliance import PartLabels, load_parts
+from tog_drake.episode import load_objects
 from tog_drake.executor import ExecutorState, Phase
-from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Sample, verdict_of
+from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, TURN, Judge, Sample, verdict_of
 from tog_drake.record import OUTCOMES
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import load_scenario
 from tog_drake.stations.simulation import SimulationStation
 
+TWO = """
+directives:
+- add_directives: {file: package://tog_drake/scenes/table.dmd.yaml}
+- add_model: {name: hammer, file: package://tog_drake/objects/hammer/hammer.sdf}
+- add_model: {name: mug, file: package://tog_drake/objects/mug/mug.sdf}
+"""
 PHASES = {"approach": 0.5, "close": 1.0, "lift": 2.0, "hold": 3.0}
 END = 6.0  # [s] three seconds of hold
 HANDLE, HEAD = ("hammer", "handle"), ("hammer", "head")
 
 
-def _samples(height=0.15, *, held=None, end=END, hit=0.0):
+def _samples(height=0.15, *, held=None, end=END, hit=0.0, touched=None, others=None):
     """An episode in steps of 0.1 s: rises to ``height`` (a number, or of time) from the lift on."""
     held = {HANDLE: 10.0} if held is None else held
     rise = height if callable(height) else lambda t: height * np.clip(t - PHASES["lift"], 0, 1)
     return [
-        Sample(time=t, lift=float(rise(t)), held=held if t > 1.2 else {}, hit=hit)
+        Sample(
+            time=t,
+            lift=float(rise(t)),
+            held=held if t > 1.2 else {},
+            hit=hit,
+            touched=(touched or {}) if t > 1.2 else {},
+            others=others or {},
+            R_HO=np.eye(3),
+        )
         for t in np.round(np.arange(0.0, end + 0.05, 0.1), 3)
     ]
 
@@ -103,9 +121,10 @@ def test_every_outcome_of_the_judge_is_explained_in_the_record():
         _samples(0.02, held={}),
         _samples(hit=99.0),
         _samples(lambda t: 0.15 if 3.0 <= t < 5.9 else 0.0),
+        _samples(0.0, others={"mug": 0.15}),
     )
     outcomes = {_verdict(samples).outcome for samples in cases}
-    assert outcomes == {"lifted", "slipped", "empty", "collision", "dropped"}
+    assert outcomes == {"lifted", "slipped", "empty", "collision", "dropped", "wrong_object"}
     assert outcomes <= set(OUTCOMES)
 
 
@@ -142,6 +161,72 @@ def test_force_on_another_object_is_no_share_of_the_target():
     assert verdict.task_compliance is False
 
 
+LEFT_ON_MUG = ("panda_leftfinger", "mug")
+
+
+def test_another_object_lifted_in_place_of_the_target_is_the_wrong_one():
+    verdict = _verdict(_samples(0.02, held={}, others={"spoon": 0.0, "mug": LIFT}))
+    assert verdict.outcome == "wrong_object"
+    assert verdict.message == "lifted mug instead of hammer"
+    assert not verdict.grasp_success
+    assert _verdict(_samples(0.02, held={}, others={"mug": LIFT - 1e-6})).outcome == "empty"
+
+
+def test_another_object_that_comes_along_with_the_target_does_no_harm():
+    assert _verdict(_samples(others={"mug": 0.2})).outcome == "lifted"
+
+
+@pytest.mark.parametrize(
+    ("on_mug", "on_hammer", "outcome"),
+    [(6.0, 5.0, "wrong_object"), (5.0, 6.0, "slipped"), (0.4, 0.0, "empty")],
+)
+def test_what_the_fingers_close_on_more_firmly_is_what_was_grasped(on_mug, on_hammer, outcome):
+    samples = _samples(
+        0.02, held={HANDLE: on_hammer}, touched={LEFT_ON_MUG: on_mug}, others={"mug": 0.0}
+    )
+    assert _verdict(samples).outcome == outcome
+
+
+def test_fingers_that_press_on_the_table_have_grasped_nothing():
+    table = {("panda_leftfinger", "table"): 9.0}
+    assert _verdict(_samples(0.0, held={}, touched=table, others={"mug": 0.0})).outcome == "empty"
+
+
+def _turning(axis, degrees):
+    """Lifted; from 2.5 s on, after lift-off, the object is turned by ``degrees`` in the hand."""
+    R = RotationMatrix(AngleAxis(np.radians(degrees), np.array(axis))).matrix()
+    return [replace(s, R_HO=R if s.time > 2.5 else s.R_HO) for s in _samples()]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.01, 9.9, 90.0, 180.0])
+def test_the_turn_in_the_hand_is_the_angle_between_lift_off_and_end(degrees):
+    verdict = _verdict(_turning([0.6, 0.0, 0.8], degrees))
+    assert verdict.turned == pytest.approx(degrees, abs=1e-6)
+    assert verdict.grasp_success
+    assert verdict.strict_success is (degrees < TURN)
+
+
+def test_a_turn_before_lift_off_does_not_count_and_one_of_a_lost_object_is_not_known():
+    turning = [
+        replace(s, R_HO=np.diag([-1.0, -1, 1]) if s.time < 1.9 else s.R_HO) for s in _samples()
+    ]
+    assert _verdict(turning).turned == 0.0
+    verdict = _verdict(_samples(0.02))
+    assert verdict.turned is None
+    assert not verdict.strict_success
+
+
+def test_collisions_are_the_hardest_touch_of_each_pair_and_touches_too_light_are_none():
+    samples = _samples(others={"mug": 0.0, "spoon": 0.0})
+    samples[3] = replace(samples[3], touched={LEFT_ON_MUG: 1.0, ("panda_hand", "spoon"): 0.49})
+    samples[7] = replace(samples[7], touched={LEFT_ON_MUG: 2.0, ("panda_link5", "table"): 7.0})
+    verdict = _verdict(samples)
+    assert verdict.collisions == {"panda_link5 / table": 7.0, "panda_leftfinger / mug": 2.0}
+    assert list(verdict.collisions) == ["panda_link5 / table", "panda_leftfinger / mug"]
+    assert verdict.outcome == "lifted"
+    assert _verdict(_samples()).collisions == {}
+
+
 def test_the_judge_sees_a_hammer_at_rest_and_nobody_touching_it():
     scenario = load_scenario("Hammer")
     scenario.cameras = {}
@@ -162,3 +247,32 @@ def test_the_judge_sees_a_hammer_at_rest_and_nobody_touching_it():
     before, after = judge.samples
     assert (before.time, before.lift, before.held, before.hit) == (-1.0, 0.0, {}, 0.0)
     assert (after.time, after.lift) == (1.5, pytest.approx(0.12))
+    assert (before.touched, before.others) == ({}, {})
+
+
+def test_the_judge_sees_what_the_hand_touches_and_whom():
+    scenario = load_scenario("Hammer", TWO)
+    scenario.cameras = {}
+    station = SimulationStation(scenario)
+    parts = load_objects(scenario)
+    labels = PartLabels.from_plant(station.plant, station.scene_graph, parts)
+    judge = Judge(station, labels, "hammer")
+    context = station.CreateDefaultContext()
+    station.GetInputPort("panda.position").FixValue(context, np.zeros(7))
+    station.GetInputPort("hand.position").FixValue(context, [0.08])
+    plant_context = station.plant.GetMyMutableContextFromRoot(context)
+    hand = station.plant.GetBodyByName("panda_hand").EvalPoseInWorld(plant_context)
+    below = hand.translation() - [
+        0,
+        0,
+        0.08,
+    ]  # the mug's rim in the palm, the hammer in the fingers
+    for model in ("hammer", "mug"):
+        body = station.plant.GetBodyByName("base", station.plant.GetModelInstanceByName(model))
+        station.plant.SetFreeBodyPose(plant_context, body, RigidTransform(below))
+    Simulator(station, context).AdvanceTo(scenario.plant_config.time_step)  # contact is sampled
+    judge.observe(context, ExecutorState(phase=Phase.READY))
+    (sample,) = judge.samples
+    assert sample.touched["panda_hand", "mug"] > 1.0
+    assert all(other == "mug" for _, other in sample.touched)
+    assert sample.others == {"mug": 0.0}

@@ -9,7 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from pydrake.geometry import GeometryId, QueryObject, SceneGraph
+from numpy.typing import NDArray
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    QueryObject,
+    SceneGraph,
+    SceneGraphInspector,
+    Sphere,
+)
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 
 from tog_drake.errors import InputError
@@ -81,21 +92,35 @@ def load_parts(path: Path) -> ObjectParts:
         ) from error
 
 
+Planes = tuple[Array, Array, float]
+"""Outward normals (F, 3), offsets (F,) [m] and the distance of the farthest corner from the origin
+[m], in the frame of the geometry."""
+
+
 @dataclass(frozen=True)
 class PartLabels:
-    """The part that each collision geometry of the labelled objects belongs to."""
+    """The part that each collision geometry of the objects belongs to.
+
+    An object without labels counts as one part, for what the hand meets of it.
+    """
 
     part_of: dict[GeometryId, tuple[str, str]]  # -> (model instance, part)
     objects: dict[str, ObjectParts]  # by model instance
+    planes: dict[GeometryId, Planes]  # that bound each of those geometries
 
     @staticmethod
     def from_plant(
         plant: MultibodyPlant, scene_graph: SceneGraph, objects: dict[str, ObjectParts]
     ) -> "PartLabels":
-        """Finds the labelled geometries of ``objects`` (by model instance) in a finalized plant.
+        """Finds the geometries of all objects in a finalized plant.
+
+        Args:
+            plant: whose free bodies are the objects.
+            scene_graph: where it has its geometries.
+            objects: the labels of those that have any, by model instance.
 
         Raises:
-            InputError: if an object has a collision geometry without a part.
+            InputError: if a labelled object has a collision geometry without a part.
         """
         inspector = scene_graph.model_inspector()
         part_of = {}
@@ -109,7 +134,12 @@ class PartLabels:
                             f"labelled are {', '.join(labels.geometries)}"
                         )
                     part_of[geometry] = (model, labels.geometries[name])
-        return PartLabels(part_of, objects)
+        for index in plant.GetFloatingBaseBodies():
+            body = plant.get_body(index)
+            model = plant.GetModelInstanceName(body.model_instance())
+            for geometry in plant.GetCollisionGeometriesForBody(body):
+                part_of.setdefault(geometry, (model, _UNLABELLED))
+        return PartLabels(part_of, objects, {g: _planes(inspector, g) for g in part_of})
 
     def closing_region(
         self, grasps: Grasps, query_object: QueryObject
@@ -119,22 +149,41 @@ class PartLabels:
         The box between the pads, a little wider than they are, is sampled; each sample counts for
         the part nearest to it, if one is near.
         """
-        return [
-            self._shares(_region_samples(X, p, w), query_object)
-            for X, p, w in zip(grasps.X_WG, grasps.p_WContact, grasps.width, strict=True)
-        ]
+        if len(grasps) == 0:
+            return []
+        samples = _region_samples(grasps)
+        parts, nearest = self.nearest_part(samples.reshape(-1, 3), query_object, _CONTACT_REACH)
+        regions = []
+        for row in nearest.reshape(samples.shape[:2]):
+            found, counts = np.unique(row[row >= 0], return_counts=True)
+            shares = counts / counts.sum()
+            regions.append({parts[i]: float(s) for i, s in zip(found, shares, strict=True)})
+        return regions
 
-    def _shares(self, points: Array, query_object: QueryObject) -> dict[tuple[str, str], float]:
-        nearest = []
-        for point in points:
-            near = [
-                (found.distance, self.part_of[found.id_G])
-                for found in query_object.ComputeSignedDistanceToPoint(point, _CONTACT_REACH)
-                if found.id_G in self.part_of
-            ]
-            if near:
-                nearest.append(min(near)[1])
-        return {part: nearest.count(part) / len(nearest) for part in dict.fromkeys(nearest)}
+    def nearest_part(
+        self, p_W: Array, query_object: QueryObject, reach: float
+    ) -> tuple[list[tuple[str, str]], NDArray[np.int64]]:
+        """Finds the labelled part nearest to each of the points p_W (P, 3).
+
+        Distances are to the planes of each convex shape: exact inside and before its faces, too
+        short beside its edges.
+
+        Returns:
+            All (model instance, part), and of each point which of them it is (P,); -1 where none
+            is within ``reach`` [m].
+        """
+        parts = list(dict.fromkeys(self.part_of.values()))
+        nearest = np.full(len(p_W), -1)
+        distance = np.full(len(p_W), reach)
+        for geometry, part in self.part_of.items():
+            normal, offset, radius = self.planes[geometry]
+            p_G = query_object.GetPoseInWorld(geometry).inverse().multiply(p_W.T).T
+            row = np.flatnonzero((p_G**2).sum(axis=1) < (radius + reach) ** 2)
+            to_shape = (p_G[row] @ normal.T - offset).max(axis=1)
+            nearer = to_shape < distance[row]
+            distance[row[nearer]] = to_shape[nearer]
+            nearest[row[nearer]] = parts.index(part)
+        return parts, nearest
 
     def held(
         self, forces: list[tuple[GeometryId, GeometryId, float]], pads: frozenset[GeometryId]
@@ -154,19 +203,62 @@ class PartLabels:
         return force
 
 
+_UNLABELLED = "unlabelled"  # the one part of an object that has no parts.yaml
 _CONTACT_REACH = 0.02  # [m] a sample farther than this from every part counts for none
 
 
-def _region_samples(X_WG: Array, p_WContact: Array, width: float) -> Array:
-    """Points between the pads, (24, 3) [m]: across, along and beyond the pads' faces."""
-    x, y, z = X_WG[:3, :3].T
-    side = np.sign((p_WContact - X_WG[:3, 3]) @ y) or 1.0
+def _region_samples(grasps: Grasps) -> Array:
+    """Points between the pads, (N, 24, 3) [m]: across, along and beyond the pads' faces."""
+    x, y, z = np.moveaxis(grasps.X_WG[:, :3, :3], -1, 0)
+    from_middle = grasps.p_WContact - grasps.X_WG[:, :3, 3]
+    side = np.where((from_middle * y).sum(axis=1) < 0, -1.0, 1.0)
     along = np.array([-0.7, 0.0, 0.7]) * PAD_WIDTH
-    across = np.array([0.0, 1 / 3, 2 / 3, 1.0]) * -side * width
+    across = np.array([0.0, 1 / 3, 2 / 3, 1.0])
     deep = np.array([-0.4, 0.4]) * PAD_WIDTH
     grid = np.stack(np.meshgrid(along, across, deep), axis=-1).reshape(-1, 3)
-    samples: Array = p_WContact + grid @ np.stack([x, y, z])
+    inwards = -(side * grasps.width)[:, None] * y
+    samples: Array = grasps.p_WContact[:, None] + grid @ np.stack([x, inwards, z], axis=1)
     return samples
+
+
+def _planes(inspector: SceneGraphInspector, geometry: GeometryId) -> Planes:
+    """Returns the planes that bound a convex shape; a round one is cut out by 96 of them."""
+    shape = inspector.GetShape(geometry)
+    hull = inspector.GetConvexHull(geometry)
+    if hull is not None:
+        corners = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        normal = np.array([hull.face_normal(i) for i in range(hull.num_faces())])
+        offset = (corners @ normal.T).max(axis=0)
+        return normal, offset, float(np.linalg.norm(corners, axis=1).max())
+    turn, height = np.pi * (3 - np.sqrt(5)) * np.arange(96), np.linspace(-1, 1, 96)
+    ring = np.sqrt(1 - height**2)
+    normal = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    match shape:
+        case Box():
+            half = shape.size() / 2
+            return axes, np.abs(axes) @ half, float(np.linalg.norm(half))
+        case Cylinder():
+            turn = np.linspace(0, 2 * np.pi, 96, endpoint=False)
+            ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+            normal = np.vstack([ring, axes[[2, 5]]])
+            half_length = shape.length() / 2
+            offset = np.append(np.full(96, shape.radius()), [half_length, half_length])
+            return normal, offset, float(np.hypot(shape.radius(), half_length))
+        case Capsule():
+            half_length = shape.length() / 2
+            offset = shape.radius() + half_length * np.abs(normal[:, 2])
+            return normal, offset, shape.radius() + half_length
+        case Ellipsoid():
+            half = np.array([shape.a(), shape.b(), shape.c()])
+        case Sphere():
+            half = np.full(3, shape.radius())
+        case _:
+            raise InputError(
+                f"a collision geometry of an object is a {type(shape).__name__}; valid: Mesh or "
+                "Convex (taken for its hull), Box, Capsule, Cylinder, Ellipsoid, Sphere"
+            )
+    return normal, np.linalg.norm(normal * half, axis=1), float(half.max())
 
 
 def contact_forces(contacts: ContactResults) -> list[tuple[GeometryId, GeometryId, float]]:

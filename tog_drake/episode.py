@@ -9,14 +9,15 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tog_drake.camera import rendered_intrinsics
 from tog_drake.compliance import ObjectParts, PartLabels, load_parts
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import Phase
-from tog_drake.judge import HOLD, LIFT, Judge
+from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import EpisodeRecord, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.values import Grasps
 from tog_drake.visualization import draw_decision, replay_html
 
 _SAMPLE = 0.02  # [s] between two looks of the judge
@@ -133,10 +134,11 @@ def run_episode(
     record["object"] = world.target
     allowed = world.labels.objects[world.target].allowed(task)
     record["allowed"] = None if allowed is None else sorted(allowed)
+    record["feasible_by_part"] = _feasible_by_part(world, context, decision)
     if decision.error is None:
         _execute(simulator, world, task, record)
     else:
-        record["grasp_success"] = False
+        record["grasp_success"] = record["strict_success"] = False
         record["task_compliance"] = None if allowed is None else False
     if record["task_compliance"] is not None:
         record["combined_success"] = record["grasp_success"] and record["task_compliance"]
@@ -177,7 +179,27 @@ def _execute(simulator: Simulator, world: World, task: str, record: EpisodeRecor
     record["held"] = verdict.held
     record["lift"] = verdict.lift
     record["grasp_success"] = verdict.grasp_success
+    record["strict_success"] = verdict.strict_success
     record["task_compliance"] = verdict.task_compliance
+    record["turned"] = verdict.turned
+    record["collisions"] = verdict.collisions
+
+
+def _feasible_by_part(world: World, context: Context, decision: Decision) -> dict[str, int] | None:
+    """How many feasible grasps close on each part of the target, by ground truth."""
+    if isinstance(decision.error, NoFeasibleGrasp):
+        grasps = Grasps.empty()
+    elif decision.feasible_grasps is None:
+        return None
+    else:
+        grasps = decision.feasible_grasps
+    station = world.station
+    query = station.GetOutputPort("cheat.query_object").Eval(station.GetMyContextFromRoot(context))
+    regions = world.labels.closing_region(grasps, query)
+    return {
+        part: sum(r.get((world.target, part), 0.0) >= COMPLIANT_SHARE for r in regions)
+        for part in world.labels.objects[world.target].part_words
+    }
 
 
 def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:

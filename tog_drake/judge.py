@@ -3,8 +3,10 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from pydrake.geometry import GeometryId
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from tog_drake.compliance import PartLabels, contact_forces
@@ -12,12 +14,14 @@ from tog_drake.executor import ExecutorState, Phase
 from tog_drake.panda import FINGER_BODIES
 from tog_drake.planning_model import HAND, PANDA
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.values import Array
 
 LIFT = 0.10  # [m] success as in the paper: lifted so far ...
 HOLD = 2.0  # [s] ... and held so long
 COMPLIANT_SHARE = 0.8  # of the pads' force on allowed parts; less is a mixed grasp
+TURN = 10.0  # [deg] a stricter success lets the object turn no farther in the hand
 _LIFT_OFF = 0.005  # [m] the object has left the table
-_TOUCH = 0.5  # [N] less is no grip
+_TOUCH = 0.5  # [N] less is no grip, nor shifts the lightest object (80 g) where it lies
 _COLLISION = 30.0  # [N] a fingertip that brushes the table stays below this
 
 
@@ -29,6 +33,9 @@ class Sample:
     lift: float  # [m] rise of the target's centre of mass
     held: dict[tuple[str, str], float]  # [N] pads' force by (model instance, part)
     hit: float  # [N] largest force of the robot on the known world or on itself
+    touched: dict[tuple[str, str], float]  # [N] by (robot's body, what it meets), but the target
+    others: dict[str, float]  # [m] rise of the other objects' centres of mass, by model instance
+    R_HO: Array  # (3, 3) the target in the hand
 
 
 @dataclass(frozen=True)
@@ -40,10 +47,16 @@ class Verdict:
     held: dict[str, float]  # part -> share of the pads' force at lift-off
     task_compliance: bool | None
     lift: float  # [m] at the end
+    turned: float | None  # [deg] in the hand from lift-off to the end; None if it was not lifted
+    collisions: dict[str, float]  # [N] largest force of "robot's body / what it met"
 
     @property
     def grasp_success(self) -> bool:
         return self.outcome == "lifted"
+
+    @property
+    def strict_success(self) -> bool:
+        return self.turned is not None and self.turned <= TURN
 
 
 class Judge:
@@ -57,8 +70,10 @@ class Judge:
         self._pads = _geometries(plant, HAND, FINGER_BODIES)
         self._robot = _geometries(plant, HAND) | _geometries(plant, PANDA)
         self._known = self._robot | _anchored(plant)
-        self._body = plant.get_body(plant.GetBodyIndices(plant.GetModelInstanceByName(target))[0])
-        self._height_before: float | None = None
+        self._name = _names(plant)
+        self._hand = plant.GetBodyByName("panda_hand", plant.GetModelInstanceByName(HAND))
+        self._objects = _objects(plant)
+        self._height_before: dict[str, float] = {}
         self.samples: list[Sample] = []
 
     def observe(self, context: Context, state: ExecutorState) -> None:
@@ -68,19 +83,29 @@ class Judge:
             context: the station's.
             state: the executor's, for the time since the motion began.
         """
-        pose = self._station.GetOutputPort("cheat.body_poses").Eval(context)[self._body.index()]
-        height = float((pose @ self._body.default_com())[2])
-        if self._height_before is None:
-            self._height_before = height
+        poses = self._station.GetOutputPort("cheat.body_poses").Eval(context)
+        height = {
+            name: float((poses[body] @ self._station.plant.get_body(body).default_com())[2])
+            for name, body in self._objects.items()
+        }
+        self._height_before = self._height_before or height
+        rise = {name: z - self._height_before[name] for name, z in height.items()}
         contacts = self._station.GetOutputPort("cheat.contact_results").Eval(context)
         forces = contact_forces(contacts)
         moving = state.phase in (Phase.MOVE, Phase.DONE, Phase.FAILED)
+        R_WH, R_WO = (
+            poses[body].rotation().matrix()
+            for body in (self._hand.index(), self._objects[self._target])
+        )
         self.samples.append(
             Sample(
                 time=context.get_time() - state.start_time if moving else -1.0,
-                lift=height - self._height_before,
+                lift=rise.pop(self._target),
                 held=self._labels.held(forces, self._pads),
                 hit=max((f for a, b, f in forces if self._is_hit(a, b)), default=0.0),
+                touched=self._touched(forces),
+                others=rise,
+                R_HO=R_WH.T @ R_WO,
             )
         )
 
@@ -89,6 +114,20 @@ class Judge:
         if pair <= self._pads:
             return False  # the fingers closed on nothing
         return bool(pair & self._robot) and pair <= self._known
+
+    def _touched(
+        self, forces: list[tuple[GeometryId, GeometryId, float]]
+    ) -> dict[tuple[str, str], float]:
+        """The force of each body of the robot on what it should not meet."""
+        touched: dict[tuple[str, str], float] = {}
+        for a, b, newtons in forces:
+            if not {a, b} & self._robot or {a, b} <= self._pads:
+                continue
+            robot, other = sorted((a, b), key=lambda g: (g not in self._robot, self._name[g]))
+            names = self._name[robot], self._name[other]
+            if names[1] != self._target:
+                touched[names] = touched.get(names, 0.0) + newtons
+        return touched
 
     def verdict(self, state: ExecutorState, task: str) -> Verdict:
         """Returns how the episode ended, from all samples."""
@@ -119,16 +158,18 @@ def verdict_of(
         target: model instance of the object that the task is about.
         allowed: its parts that the task allows; None where the task says none.
     """
-    outcome, message = _outcome(samples, phases, stopped)
+    outcome, message = _outcome(samples, phases, stopped, target)
     held = _held_at_lift_off(samples, phases["lift"], target)
     compliance = None
     if allowed is not None:
         compliance = sum(held.get(part, 0.0) for part in allowed) >= COMPLIANT_SHARE
-    return Verdict(outcome, message, held, compliance, samples[-1].lift)
+    turned = _turned(samples, phases["lift"]) if outcome == "lifted" else None
+    collisions = _collisions(samples)
+    return Verdict(outcome, message, held, compliance, samples[-1].lift, turned, collisions)
 
 
 def _outcome(
-    samples: Sequence[Sample], phases: Mapping[str, float], stopped: bool
+    samples: Sequence[Sample], phases: Mapping[str, float], stopped: bool, target: str
 ) -> tuple[str, str | None]:
     hit = max(samples, key=lambda s: s.hit)
     if stopped:
@@ -145,28 +186,87 @@ def _outcome(
         return "dropped", f"lifted by {end.lift:.2f} m, but not held there for {HOLD:g} s"
     if highest >= LIFT:
         return "dropped", f"lost after {highest:.2f} m of lift"
+    for other, rise in end.others.items():
+        if rise >= LIFT:
+            return "wrong_object", f"lifted {other} instead of {target}"
     closed = [s for s in samples if phases["close"] < s.time <= phases["lift"]]
-    if not closed or sum(closed[-1].held.values()) < _TOUCH:
+    grip = _grip(closed[-1], target) if closed else {}
+    firmest = max(grip, key=lambda name: grip[name], default=target)
+    if sum(grip.values()) < _TOUCH:
         return "empty", "the fingers closed and touched nothing"
+    if firmest != target:
+        return "wrong_object", f"the fingers closed on {firmest} instead of {target}"
     return "slipped", f"grasped, but lifted only {end.lift:.2f} m at the end"
+
+
+def _grip(sample: Sample, target: str) -> dict[str, float]:
+    """The force of the fingers on each object [N]."""
+    grip = {target: sum(f for (model, _), f in sample.held.items() if model == target)}
+    for (robot, other), newtons in sample.touched.items():
+        if robot in FINGER_BODIES and other in sample.others:
+            grip[other] = grip.get(other, 0.0) + newtons
+    return grip
+
+
+def _lift_off(samples: Sequence[Sample], lift_begins: float) -> Sample | None:
+    """When the target leaves the table; when the lift begins, if it never does."""
+    lifting = [s for s in samples if s.time >= lift_begins]
+    risen = [s for s in lifting if s.lift >= _LIFT_OFF]
+    return next(iter(risen or lifting), None)  # None: stopped before the lift
 
 
 def _held_at_lift_off(
     samples: Sequence[Sample], lift_begins: float, target: str
 ) -> dict[str, float]:
     """Shares of the pads' force by part of the target when it leaves the table."""
-    lifting = [s for s in samples if s.time >= lift_begins]
-    if not lifting:
-        return {}  # stopped before the lift
-    risen = [s for s in lifting if s.lift >= _LIFT_OFF]
-    sample = (risen or lifting)[0]
-    total = sum(sample.held.values())
-    if total < _TOUCH:
+    sample = _lift_off(samples, lift_begins)
+    total = 0.0 if sample is None else sum(sample.held.values())
+    if sample is None or total < _TOUCH:
         return {}
     return {
         part: force / total
         for (model, part), force in sorted(sample.held.items(), key=lambda item: -item[1])
         if model == target
+    }
+
+
+def _turned(samples: Sequence[Sample], lift_begins: float) -> float | None:
+    """The angle [deg] by which the target turned in the hand from lift-off to the end."""
+    before = _lift_off(samples, lift_begins)
+    if before is None:
+        return None
+    # tr R = 1 + 2 cos θ, and the antisymmetric part of R has the norm √2 sin θ.
+    R = before.R_HO.T @ samples[-1].R_HO
+    return float(np.degrees(np.arctan2(np.linalg.norm(R - R.T) / np.sqrt(2), np.trace(R) - 1)))
+
+
+def _collisions(samples: Sequence[Sample]) -> dict[str, float]:
+    """The largest force [N] of each pair that should not have met, the hardest first."""
+    largest: dict[str, float] = {}
+    for sample in samples:
+        for pair, newtons in sample.touched.items():
+            name = " / ".join(pair)
+            if newtons >= _TOUCH:
+                largest[name] = max(newtons, largest.get(name, 0.0))
+    return dict(sorted(largest.items(), key=lambda item: -item[1]))
+
+
+def _names(plant: MultibodyPlant) -> dict[GeometryId, str]:
+    """What to call each collision geometry: its body, of the robot; else its model instance."""
+    names = {}
+    for index in range(plant.num_bodies()):
+        body = plant.get_body(BodyIndex(index))
+        model = plant.GetModelInstanceName(body.model_instance())
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            names[geometry] = body.name() if model in (PANDA, HAND) else model
+    return names
+
+
+def _objects(plant: MultibodyPlant) -> dict[str, BodyIndex]:
+    """The free bodies, by model instance: what can be lifted."""
+    return {
+        plant.GetModelInstanceName(plant.get_body(body).model_instance()): body
+        for body in sorted(plant.GetFloatingBaseBodies())
     }
 
 

@@ -48,7 +48,15 @@ class EpisodeRecord(TypedDict):
     grasp_success: bool | None  # lifted by 0.10 m and held for 2 s
     task_compliance: bool | None  # held by a part that the task allows; null where it says none
     combined_success: bool | None
+    strict_success: bool | None  # grasp_success, and turned by no more than 10°
     held: dict[str, float]  # part -> share of the pads' force at lift-off
+    turned: float | None  # [deg] in the hand, lift-off to end of the hold; null: not lifted
+    collisions: dict[str, float] | None
+    """Largest force [N] of each "robot's body / what it met", above 0.5 N: table, itself, other
+    objects; contacts with the target do not count. Empty: none; null: nothing was executed."""
+    feasible_by_part: dict[str, int] | None
+    """Part of the object -> feasible grasps that close on it to four fifths or more, by the labels;
+    null: the stage was not reached."""
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
@@ -61,6 +69,7 @@ OUTCOMES = {
     "empty": "the fingers closed on nothing",
     "slipped": "grasped, but it slipped out before it was lifted by 0.10 m",
     "dropped": "lifted by 0.10 m, then lost",
+    "wrong_object": "the hand closed on another object, or lifted it",
     "no_grasp": "nothing to grasp, or nothing that the arm can carry out",
     "no_choice": "the selector could not decide",
     "no_plan": "no motion to the chosen grasp passed the checks",
@@ -107,7 +116,11 @@ def new_record(
         grasp_success=None,
         task_compliance=None,
         combined_success=None,
+        strict_success=None,
         held={},
+        turned=None,
+        collisions=None,
+        feasible_by_part=None,
         allowed=None,
         lift=None,
         motion=_motion_record(decision),

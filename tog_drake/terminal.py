@@ -58,5 +58,8 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
         f"outcome: {record['outcome']}"
         + (f"; held by {held}" if held else "")
         + (f"; task compliance: {record['task_compliance']}" if held else "")
+        + (f"; turned in the hand: {record['turned']:.0f}°" if record["turned"] is not None else "")
         + (f" ({record['message']})" if record["message"] else ""),
     )
+    for pair, newtons in (record["collisions"] or {}).items():
+        say(console, f"collision: {pair}, {newtons:.1f} N")

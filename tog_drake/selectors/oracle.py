@@ -4,20 +4,27 @@ What it reaches is what a perfect selector could reach with the same grasps. It 
 real robot, where nobody hands out the labels.
 """
 
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.geometry import QueryObject
+from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.compliance import PartLabels
-from tog_drake.errors import NoChoice
+from tog_drake.errors import NoChoice, NoGrasp
 from tog_drake.selector import choose
-from tog_drake.values import Candidates, Choice, View
+from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, View
 
 ORACLE_NOTE = "reads simulated part labels: an upper bound, not a method"
 _SURE = 0.99  # share of the closing region that must lie on allowed parts
+_MOSTLY = 0.5  # share of the closing region from which a grasp is one of the target
+_SEEN = 0.004  # [m] a point of the cloud belongs to the object that is not farther than this
+
+Region = dict[tuple[str, str], float]  # (model instance, part) -> share of a closing region
 
 
 @dataclass
@@ -26,13 +33,17 @@ class Oracle:
 
 
 class OracleSelector(LeafSystem):
-    """Stands where GraspSelector stands, with one more port: the ground truth.
+    """Stands where GraspSelector stands, and reads the ground truth.
+
+    It reads the proposals too, to say why there is nothing to choose.
 
     .. pydrake_system::
 
         name: OracleSelector
         input_ports:
         - view
+        - cloud
+        - grasps
         - candidates
         - task
         - cheat.query_object
@@ -45,10 +56,14 @@ class OracleSelector(LeafSystem):
         self._labels = labels
         self._target = target
         self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
+        self._grasps = self.DeclareAbstractInputPort("grasps", Value(Grasps.empty()))
         self._candidates = self.DeclareAbstractInputPort("candidates", Value(Candidates.empty()))
         self._task = self.DeclareAbstractInputPort("task", Value(""))
         self._truth = self.DeclareAbstractInputPort("cheat.query_object", Value(QueryObject()))
-        ports = (self._view, self._candidates, self._task, self._truth)
+        ports = (
+            self._view, self._cloud, self._grasps, self._candidates, self._task, self._truth
+        )  # fmt: skip
         self.DeclareAbstractOutputPort(
             "choice",
             alloc=lambda: Value(Choice.none()),
@@ -62,6 +77,8 @@ class OracleSelector(LeafSystem):
                 self._labels,
                 self._target,
                 self._view.Eval(context),
+                self._cloud.Eval(context),
+                self._grasps.Eval(context),
                 self._candidates.Eval(context),
                 self._task.Eval(context),
                 self._truth.Eval(context),
@@ -73,6 +90,8 @@ def choose_by_labels(
     labels: PartLabels,
     target: str,
     view: View,
+    cloud: PointCloud,
+    proposed: Grasps,
     candidates: Candidates,
     task: str,
     query_object: QueryObject,
@@ -80,23 +99,20 @@ def choose_by_labels(
     """Returns the best grasp whose closing region lies on an allowed part of ``target``.
 
     Raises:
+        NoGrasp: if no feasible grasp is on the target, saying how much of it is seen and proposed.
         NoChoice: if the task allows no part of the target, or no grasp lies on an allowed one.
     """
     grasps = candidates.grasps
+    regions = labels.closing_region(grasps, query_object)
+    if not _on(target, regions).any():
+        raise NoGrasp(_why_none(labels, target, cloud, proposed, grasps, query_object))
     allowed = labels.objects[target].allowed(task)
     if not allowed:
         raise NoChoice(
             f"oracle: the task {task!r} allows no labelled part of {target}; its parts are "
             f"{', '.join(labels.objects[target].part_words)}"
         )
-    regions = labels.closing_region(grasps, query_object)
-    share = np.array(
-        [
-            sum(s for (model, part), s in r.items() if model == target and part in allowed)
-            for r in regions
-        ]
-    )
-    fits = share > _SURE
+    fits = _share(regions, {(target, part) for part in allowed}) > _SURE
     if not fits.any():
         raise NoChoice(
             f"oracle: none of {len(grasps)} feasible grasps closes on "
@@ -110,3 +126,37 @@ def choose_by_labels(
     part = max(regions[index].items(), key=lambda item: item[1])[0][1]
     worth = np.where(fits, grasps.score, -np.inf)
     return choose(index, view, candidates, reason, part=part, worth=worth)
+
+
+def _share(regions: list[Region], parts: Set[tuple[str, str]]) -> Array:
+    """The share of each closing region that lies on ``parts``, (N,)."""
+    return np.array([sum(share for part, share in r.items() if part in parts) for r in regions])
+
+
+def _on(target: str, regions: list[Region]) -> NDArray[np.bool_]:
+    """Which closing regions lie mostly on the target, (N,)."""
+    parts = {part for region in regions for part in region if part[0] == target}
+    return np.asarray(_share(regions, parts) > _MOSTLY)
+
+
+def _why_none(
+    labels: PartLabels,
+    target: str,
+    cloud: PointCloud,
+    proposed: Grasps,
+    feasible: Grasps,
+    query_object: QueryObject,
+) -> str:
+    """Says how much of the target was seen, how many grasps were proposed on it, what fell."""
+    parts, nearest = labels.nearest_part(cloud.xyzs().T.astype(float), query_object, _SEEN)
+    seen = sum(int((nearest == i).sum()) for i, (model, _) in enumerate(parts) if model == target)
+    on_it = int(_on(target, labels.closing_region(proposed, query_object)).sum())
+    why = f"{seen} of the cloud's {cloud.size()} points are on it (hidden?)"
+    if on_it > 0:
+        why = f"all {on_it} grasps proposed on it were rejected"
+        if isinstance(feasible, FeasibleGrasps):
+            counts = [f"{reason} {count}" for reason, count in feasible.rejected.items() if count]
+            why += f" (rejected of all {len(proposed)}: {', '.join(counts)})"
+    elif seen > 0:
+        why += f" and none of the {len(proposed)} grasps proposed"
+    return f"oracle: none of {len(feasible)} feasible grasps is on {target}: {why}"
