@@ -99,7 +99,10 @@ def test_points_between_the_open_fingers_are_free():
 
 def test_the_table_is_named_when_it_is_hit():
     in_table = np.array([0.0, 1.2, 0.0, -1.2, 0.0, 1.5, 0.8])
-    with pytest.raises(NoPlan, match=r"panda_rightfinger and table collide, by \d+ mm"):
+    with pytest.raises(
+        NoPlan,
+        match=r"panda_rightfinger and table come nearer to each other than is safe, by \d+ mm",
+    ):
         scene().check(line(Q_LOOK, in_table), "the way", STEP)
 
 

@@ -57,7 +57,6 @@ class FeasibilityConfig:
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
     table_clearance: float = 0.001  # [m] of the hand above the table
     cloud_clearance: float = 0.01  # [m] of the arm from the cloud
-    voxel: float = 0.01  # [m] of the distance field around the cloud
 
 
 def feasible_grasps(
@@ -98,7 +97,7 @@ def feasible_grasps(
     fate = np.select([low, blocked], [_TABLE, _HAND], _NO_IK)
 
     rows = np.flatnonzero(fate == _NO_IK)
-    world = _World(planning_model, DistanceField(points, config.voxel), config)
+    world = _World(planning_model, DistanceField(points), config)
     fate[rows], q_approach, q_lift = _carry_out(world, grasps.X_WG[rows], opening[rows], q_now)
 
     rejected = {reason: int((fate == i).sum()) for i, reason in enumerate(REASONS)}

@@ -10,10 +10,9 @@ from pydrake.trajectories import Trajectory
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoPlan
 from tog_drake.panda import MAX_OPENING, link_frames
-from tog_drake.planning_model import BASE_LINK, PlanningModel
+from tog_drake.planning_model import BASE_LINK, PlanningModel, is_arm
 from tog_drake.values import Array
 
-_ARM = "panda_link"  # how the names of the arm's bodies begin; all others belong to the hand
 _NEAR = 0.05  # [m] bodies farther apart than this do not explain a collision
 
 
@@ -45,31 +44,51 @@ class Obstacles:
         gradient = np.einsum("nij,nj->ni", dp_dq, slope) * beyond
         return clearance[rows, nearest], gradient
 
-    def count_free(self, q: Array, clearance: float) -> int:
+    def count_free(self, q: Array, clearance: float, *, hand_margin: bool = False) -> int:
         """Returns how many of q (N, 7), from the first on, touch nothing.
 
-        ``clearance`` [m] is kept from the cloud, which is asked first: it answers faster.
+        ``clearance`` [m] is kept from the cloud, which is asked first: it answers faster. For
+        ``hand_margin`` see ``PlanningModel.check_configs``.
         """
         count = _leading(self.cloud_clearance(q) >= clearance)
-        return _leading(self.planning_model.check_configs(q[:count], self.opening))
+        check = self.planning_model.check_configs
+        return _leading(check(q[:count], self.opening, hand_margin=hand_margin))
 
     def require_free(self, q: Array, what: str, remedy: str) -> None:
         """Raises NoPlan if q (7,) touches anything."""
-        reason = self._touches(q[None], with_hand=True)
+        reason = self._touches(q[None])
         if reason is not None:
             raise NoPlan(f"{what} is not free: {reason[1]}; {remedy}")
 
-    def check(self, segment: Trajectory, what: str, step: float, *, with_hand: bool = True) -> None:
-        """Raises NoPlan if the segment touches anything; ``step`` [rad] between configurations."""
+    def check(
+        self,
+        segment: Trajectory,
+        what: str,
+        step: float,
+        *,
+        with_hand: bool = True,
+        hand_margin: bool = False,
+    ) -> None:
+        """Raises NoPlan if the segment touches anything.
+
+        Args:
+            segment: of the arm.
+            what: the segment is, for a person.
+            step: largest change of any joint between two configurations [rad].
+            with_hand: whether the hand, too, must not touch the cloud.
+            hand_margin: see ``PlanningModel.check_configs``.
+        """
         times, q = _dense(segment, step)
-        reason = self._touches(q, with_hand)
+        reason = self._touches(q, with_hand, hand_margin)
         if reason is not None:
             raise NoPlan(
                 f"{what} is not free {times[reason[0]] - times[0]:.2f} s after its start: "
                 f"{reason[1]}; choose another grasp or clear the scene"
             )
 
-    def _touches(self, q: Array, with_hand: bool) -> tuple[int, str] | None:
+    def _touches(
+        self, q: Array, with_hand: bool = True, hand_margin: bool = False
+    ) -> tuple[int, str] | None:
         """Returns the first of q (N, 7) that touches anything, and what; None if there is none."""
         clearance, _ = self._spheres_clearance(q, with_hand)
         if clearance.min() < 0:
@@ -77,31 +96,33 @@ class Obstacles:
             body = self.planning_model.cover.body[int(clearance[i].argmin())]
             depth = -1e3 * clearance[i].min()
             return i, f"{body} comes nearer than is safe to what the camera saw, by {depth:.0f} mm"
-        free = self.planning_model.check_configs(q, self.opening)
+        free = self.planning_model.check_configs(q, self.opening, hand_margin=hand_margin)
         if not free.all():
             i = int(np.argmin(free))
-            return i, self._known_contact(q[i])
+            return i, self._known_contact(q[i], hand_margin)
         return None
 
-    def _known_contact(self, q: Array) -> str:
-        """Says which known bodies touch at q (7,)."""
+    def _known_contact(self, q: Array, hand_margin: bool) -> str:
+        """Says which known bodies are too near to each other at q (7,)."""
         model = self.planning_model
         positions = model.full_positions(q, self.opening)
         try:
-            found = model.checker.CalcRobotClearance(positions, influence_distance=_NEAR)
+            checker = model.wary_checker if hand_margin else model.checker
+            found = checker.CalcRobotClearance(positions, influence_distance=_NEAR)
         except RuntimeError as error:  # FCL gives up on a few degenerate contacts
             return f"a distance between known bodies cannot be computed ({error})"
         nearest = int(np.argmin(found.distances()))
         pair = found.robot_indices()[nearest], found.other_indices()[nearest]
         names = " and ".join(model.plant.get_body(index).name() for index in pair)
-        return f"{names} collide, by {-1e3 * found.distances()[nearest]:.0f} mm"
+        depth = -1e3 * found.distances()[nearest]
+        return f"{names} come nearer to each other than is safe, by {depth:.0f} mm"
 
     def _spheres_clearance(self, q: Array, with_hand: bool) -> tuple[Array, Array]:
         """Returns the clearance (N, S) of each sphere and its centre (N, S, 3) in W."""
         p_W, radius, body = self.planning_model.spheres(q, MAX_OPENING)
         clearance = self.field.distance(p_W) - radius
         for sphere, name in enumerate(body):
-            if name == BASE_LINK or not (with_hand or name.startswith(_ARM)):
+            if name == BASE_LINK or not (with_hand or is_arm(name)):
                 clearance[:, sphere] = np.inf
         return clearance, p_W
 

@@ -37,6 +37,7 @@ from tog_drake.values import Array
 
 PANDA, HAND = "panda", "hand"  # the model instances that planning directives must name so
 BASE_LINK = "panda_link0"
+MARGIN = 0.005  # [m] that the robot keeps from itself and, but for the hand, from the known world
 DEFAULT_DIRECTIVES = "scenes/panda_table.dmd.yaml"
 
 # Bodies of the wrist that never meet, although their shapes overlap or stay close together.
@@ -60,7 +61,8 @@ class PlanningModel:
 
     diagram: RobotDiagram
     plant: MultibodyPlant
-    checker: SceneGraphCollisionChecker
+    checker: SceneGraphCollisionChecker  # keeps MARGIN, but lets the hand go down to the table
+    wary_checker: SceneGraphCollisionChecker  # keeps MARGIN for the hand too
     X_WL0: Array  # (4, 4) where the arm stands
     cover: SphereCover
 
@@ -68,17 +70,23 @@ class PlanningModel:
         """Returns the plant's positions for arm angles q (..., 7): (..., 9), fingers last."""
         return _full_positions(q, opening)
 
-    def check_configs(self, q: Array, opening: float) -> NDArray[np.bool_]:
+    def check_configs(
+        self, q: Array, opening: float, *, hand_margin: bool = False
+    ) -> NDArray[np.bool_]:
         """Tells which of q (N, 7) are free of self-collision and of the known world, (N,).
+
+        The robot keeps ``MARGIN``; the hand keeps it from the known world with ``hand_margin``
+        alone, since a grasp of something flat takes it down to the table.
 
         Joint limits are not checked. Where a distance cannot be computed (FCL gives up on a few
         degenerate contacts) the configuration counts as a collision.
         """
+        checker = self.wary_checker if hand_margin else self.checker
         free = np.zeros(len(q), dtype=bool)
         for i, positions in enumerate(self.full_positions(q, opening)):
             # One at a time: an exception inside Drake's parallel batch would end the process.
             try:
-                free[i] = self.checker.CheckConfigCollisionFree(positions)
+                free[i] = checker.CheckConfigCollisionFree(positions)
             except RuntimeError:
                 free[i] = False
         return free
@@ -124,7 +132,18 @@ def MakePlanningModel(
     plant, diagram, checker = _build(directives)
     X_WL0 = _body_poses(plant, 0.0)[plant.GetBodyByName(BASE_LINK).index()]
     cover = _cover(diagram, X_WL0)
-    return PlanningModel(diagram, plant, checker, X_WL0, cover)
+    checker.SetPaddingAllRobotRobotPairs(MARGIN)
+    checker.SetPaddingAllRobotEnvironmentPairs(MARGIN)
+    wary_checker = cast(SceneGraphCollisionChecker, checker.Clone())
+    for body in _robot_bodies(plant):
+        if not is_arm(body.name()):
+            checker.SetPaddingOneRobotBodyAllEnvironmentPairs(body.index(), 0.0)
+    return PlanningModel(diagram, plant, checker, wary_checker, X_WL0, cover)
+
+
+def is_arm(body: str) -> bool:
+    """Tells whether a body of the robot belongs to the arm; all others belong to the hand."""
+    return body.startswith("panda_link")
 
 
 def _build(

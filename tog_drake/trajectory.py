@@ -203,9 +203,13 @@ def _transfer(
     ends = np.stack([q_now, q_pregrasp])
     # Where an end itself is nearer to something, no more than that can be asked of the way.
     clearance = min(config.clearance, float(obstacles.cloud_clearance(ends).min()) - _ROUNDING)
+    hand_margin = obstacles.count_free(ends, clearance, hand_margin=True) == len(ends)
 
     def count_free(q: Array) -> int:
-        return obstacles.count_free(q, clearance)
+        return obstacles.count_free(q, clearance, hand_margin=hand_margin)
+
+    def check(way: Trajectory) -> None:
+        obstacles.check(way, "the way to the pregrasp", config.check_step, hand_margin=hand_margin)
 
     rng = np.random.default_rng(seed)
     step, path, failure = config.path_step, None, ""
@@ -227,7 +231,7 @@ def _transfer(
                 config.spline,
                 leeway,
             )
-            obstacles.check(spline, "the way to the pregrasp", config.check_step)
+            check(spline)
             return spline, f"optimised, attempt {attempt + 1}"
         except NoPlan as error:
             if path is None:
@@ -235,7 +239,7 @@ def _transfer(
             failure = str(error)
     assert path is not None
     stops = _with_stops(corners(path), limits)
-    obstacles.check(stops, "the way to the pregrasp", config.check_step)
+    check(stops)
     return stops, f"with stops, since {config.attempts} attempts to optimise failed: {failure}"
 
 
