@@ -52,7 +52,7 @@ class Antipodal:
     max_width: float = 0.072  # [m] between the contacts; the hand opens to 0.08
     table_clearance: float = 0.0035  # [m] between the hand and the table
     clearance: float = 0.002  # [m] between the open hand and every point
-    per_anchor: int = 16  # best grasps of each anchor that are checked exactly
+    per_group: int = 10  # best deep and best shallow grasps of each anchor: checked exactly
     max_grasps: int = 300  # returned
 
 
@@ -60,8 +60,10 @@ POINTS_PER_ANCHOR = 15  # of the searched cloud; a single thing has about 1000 p
 SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of what a finger may touch, along x
 HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
 EDGE = 0.005  # [m] a finger touches what is this close to the end of the stretch
+AT_PAD = 0.002  # [m] a pad is pressed against what is this close to the end
 MIN_FACING = 0.60  # cosine; a surface turned farther from its finger lets it slip at any friction
-UNSEEN = 0.75  # cosine for a side that was not seen but whose outline runs along the pad
+UNSEEN = 0.75  # cosine for a side that was not seen but whose outline runs along the pad; times
+# that of the tilt, for what is outline from above may be the corner of a block from the side
 
 
 class AntipodalProposer:
@@ -126,13 +128,15 @@ class _Grips:
     tip: Array  # (K,) [m] of the fingertips beyond the anchor, along z
     low: Array  # (K,) [m] end of the gripped stretch along y, to within a bin
     high: Array  # (K,) [m] the other end
+    shallow: NDArray[np.bool_]  # (K,) at the least depth
 
 
 @dataclass(frozen=True)
 class _Found(Grasps):
     """Grasps, before the hand is checked against its surroundings."""
 
-    anchor: Rows = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) rows of the surface
+    group: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,) twice the row of the anchor on the surface; and one more for a shallow grip."""
 
 
 def _sweep(surface: Surface, tries: Tries, deepest: float) -> _Sweep:
@@ -160,7 +164,7 @@ def _grips(
     lowest = _lowest_tip(surface, tries, table + config.table_clearance)
     before = np.full(len(lowest), -np.inf)
     grips = []
-    for depth in config.depths:
+    for i, depth in enumerate(sorted(config.depths)):
         tip = np.minimum(depth, lowest)
         attempt = np.flatnonzero((tip > 0.001) & (tip > before + 0.002))
         before, tip = tip, tip[attempt]
@@ -177,7 +181,8 @@ def _grips(
         fits &= stretch.room + config.bin >= aside + FINGER_THICKNESS
         fits &= tip - stretch.top >= config.min_depth
         fits &= tip - first_of_all[attempt] < FINGERTIP_Z - PALM_Z - config.clearance
-        grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits]))
+        shallow = np.full(np.count_nonzero(fits), i == 0)
+        grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits], shallow))
     return _Grips(*(np.concatenate(column) for column in zip(*grips, strict=True)))
 
 
@@ -201,11 +206,12 @@ def _measure(
 
     anchor, R_WG = tries.anchor[grips.attempt], tries.R_WG[grips.attempt]
     towards_y = np.einsum("ei,ei->e", surface.normal[row], R_WG[grip, :, 1])
-    facing_high, covered = _facing(x, y, towards_y, grip, high)
-    facing_low, _ = _facing(x, -y, -towards_y, grip, -low)
-    contact = np.empty(count, dtype=np.int64)
-    at_contact = y == np.where(facing_high >= facing_low, high, low)[grip]
-    contact[grip[at_contact]] = row[at_contact]
+    upright = -R_WG[:, 2, 2]
+    facing_high, covered = _facing(x, y, towards_y, grip, high, upright)
+    facing_low, _ = _facing(x, -y, -towards_y, grip, -low, upright)
+    side = np.where(facing_high >= facing_low, 1, -1)[grip]
+    depth_below = np.where(side > 0, high[grip] - y, y - low[grip])
+    contact = row[_middle_rows(x, sweep.z[e], depth_below < AT_PAD, grip, count)]
 
     X_WG = np.tile(np.eye(4), (count, 1, 1))
     X_WG[:, :3, :3] = R_WG
@@ -215,7 +221,7 @@ def _measure(
     score = _score(
         facing=np.stack([facing_high, facing_low]),
         depth=grips.tip - top,
-        tilt=np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)),
+        tilt=np.arccos(np.clip(upright, -1, 1)),
         covered=covered,
         lever=np.linalg.norm(X_WG[:, :2, 3] - balance, axis=1),
         spare=max_width - (high - low),
@@ -223,7 +229,8 @@ def _measure(
     foreign = surface.thing[row] != surface.thing[anchor][grip]
     good = (np.bincount(grip[foreign], minlength=count) == 0) & (high - low <= max_width)
     good &= np.minimum(facing_high, facing_low) >= MIN_FACING
-    found = _Found(X_WG, (high - low).astype(np.float64), score, surface.point[contact], anchor)
+    width = (high - low).astype(np.float64)
+    found = _Found(X_WG, width, score, surface.point[contact], 2 * anchor + grips.shallow)
     return found.take(np.flatnonzero(good))
 
 
@@ -238,7 +245,31 @@ def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
     return grip[between], e[between]
 
 
-def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple[Array, Array]:
+def _middle_rows(x: Array, z: Array, touched: NDArray[np.bool_], grip: Rows, count: int) -> Rows:
+    """Which of the points that a pad touches is in the middle of them, for each of K grips.
+
+    Args:
+        x, z: (E,) [m] the points between the fingers.
+        touched: (E,) those at one pad, at least one for each grip.
+        grip: (E,) 0 .. K−1, ascending: which grip each belongs to.
+
+    Returns:
+        (K,) rows of the E points.
+    """
+    row = np.flatnonzero(touched)
+    number = np.maximum(np.bincount(grip[row], minlength=count), 1)
+    away = [
+        v[row] - (np.bincount(grip[row], v[row], minlength=count) / number)[grip[row]]
+        for v in (x, z)
+    ]
+    order = np.lexsort((away[0] ** 2 + away[1] ** 2, grip[row]))
+    first = np.searchsorted(grip[row][order], np.arange(count))
+    return np.asarray(row[order][first])
+
+
+def _facing(
+    x: Array, y: Array, towards: Array, grip: Rows, end: Array, upright: Array
+) -> tuple[Array, Array]:
     """How well the surface at the finger on the side of larger y faces it.
 
     Where that surface was seen, its normals say so. Where it was not, only its outline is known,
@@ -249,6 +280,7 @@ def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple
         towards: (E,) cosine between their normals and the direction to the finger.
         grip: (E,) 0 .. K−1, which grip each belongs to.
         end: (K,) [m] the largest y of each grip.
+        upright: (K,) cosine of the tilt of the approach.
 
     Returns:
         (K,) cosine; (K,) the share of the pad's width along which there is something to hold.
@@ -265,7 +297,7 @@ def _facing(x: Array, y: Array, towards: Array, grip: Rows, end: Array) -> tuple
     np.maximum.at(outline, grip * bins + column, y)
     held = np.isfinite(outline).reshape(count, bins)
     slope = _slope(np.where(held, outline.reshape(count, bins), 0), held)
-    by_outline = UNSEEN / np.sqrt(1 + slope**2)
+    by_outline = UNSEEN * upright / np.sqrt(1 + slope**2)
     return np.where(enough, by_normals, by_outline), held.mean(axis=1)
 
 
@@ -294,7 +326,7 @@ def _score(
     return np.asarray(
         0.30 * np.clip((facing - MIN_FACING) / (0.95 - MIN_FACING), 0, 1).mean(axis=0)
         + 0.20 * np.minimum(depth / 0.025, 1)
-        + 0.10 * (1 - tilt / (np.pi / 2))
+        + 0.10 * (1 - (tilt / np.radians(75)) ** 2)
         + 0.10 * covered
         + 0.25 * np.exp(-((lever / 0.06) ** 2))
         + 0.05 * np.clip(spare / 0.02, 0, 1)
@@ -302,16 +334,20 @@ def _score(
 
 
 def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Grasps:
-    """Of the best grasps of each anchor those at which the open hand is free, best first."""
-    found = found.take(np.lexsort((-found.score, found.anchor)))
-    found = found.take(np.flatnonzero(_rank(found.anchor) < config.per_anchor))
+    """Of the best grasps of each anchor those at which the open hand is free, best first.
+
+    Shallow grips count as another anchor's: deeper ones score higher, but where a small part sits
+    on top of a larger one, as a cap on a bottle, only shallow ones hold that part alone.
+    """
+    found = found.take(np.lexsort((-found.score, found.group)))
+    found = found.take(np.flatnonzero(_rank(found.group) < config.per_group))
     if len(found) == 0:
         return Grasps.empty()
-    groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.anchor)) + 1)
+    groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.group // 2)) + 1)
     free = np.concatenate([_is_free(found.take(g), surface, config, table) for g in groups])
     found = found.take(np.flatnonzero(free))
-    # Every anchor's best grasp comes before any anchor's second, so that no part is left out.
-    chosen = np.lexsort((-found.score, _rank(found.anchor)))[: config.max_grasps]
+    # Every group's best grasp comes before any group's second, so that no part is left out.
+    chosen = np.lexsort((-found.score, _rank(found.group)))[: config.max_grasps]
     best = chosen[np.argsort(-found.score[chosen], kind="stable")]
     return Grasps(*(getattr(found, name)[best] for name in Grasps.__annotations__))
 
@@ -327,7 +363,7 @@ def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -
     free: NDArray[np.bool_] = lowest_corner(found.X_WG, lower, upper) > (
         table + config.table_clearance - 1e-6
     )
-    near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
+    near = surface.tree.query_ball_point(surface.point[found.group[0] // 2], HAND_REACH)
     lower, upper = lower - config.clearance, upper + config.clearance
     free &= points_inside(found.X_WG, lower, upper, surface.point[near]) == 0
     return free
