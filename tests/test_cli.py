@@ -217,7 +217,9 @@ def test_a_file_in_the_way_of_the_output_is_said_before_the_work(arguments, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
 
 
-@pytest.mark.parametrize("command", [("show", "Hammer"), ("diagram", "Hammer")])
+@pytest.mark.parametrize(
+    "command", [("show", "Hammer"), ("show", "objects"), ("diagram", "Hammer")]
+)
 def test_a_folder_or_a_device_where_a_file_is_to_be_written_is_said(command, tmp_path):
     refused(tog(*command, "--out", tmp_path), f"{tmp_path} is a folder")
     os.mkfifo(tmp_path / "pipe")  # as little a file as /dev/stdout, which root could replace

@@ -269,8 +269,8 @@ def test_the_camera_sees_what_the_hand_touches(name):
         ("pan", [-0.075, 0, 0.020]),
         ("pan", [-0.035, 0, 0.020]),
         ("pot", [0, 0, 0.030]),
-        ("scissors", [-0.073, 0.024, 0.009]),  # a finger goes through either bow
-        ("scissors", [-0.073, -0.024, 0.009]),
+        ("scissors", [-0.083, 0.024, 0.009]),  # a finger goes through either bow
+        ("scissors", [-0.083, -0.024, 0.009]),
         ("spoon", [0.088, 0, 0.018]),
     ],
 )

@@ -245,18 +245,25 @@ def scenarios(as_json: JsonOption = False) -> None:
 
 @app.command(epilog=_epilog("tog show Hammer --out hammer.html"))
 def show(
-    scenario: Annotated[str, typer.Argument(help="Name or YAML file.")],
+    scenario: Annotated[
+        str, typer.Argument(help="Name or YAML file; or `objects`: a picture of all objects.")
+    ],
     scenario_text: ScenarioText = None,
     seed: SeedOption = None,
     out: Annotated[
-        Path | None, typer.Option(help="Write a static page instead of serving one.")
+        Path | None,
+        typer.Option(help="Write a static page (of `objects`, a PNG) instead of serving one."),
     ] = None,
 ) -> None:
     """Show a scenario in Meshcat: live on localhost until Ctrl-C, or as a static page."""
-    from tog_drake.showing import serve_scene, write_scene
+    from tog_drake.showing import serve_scene, write_objects, write_scene
 
     if out is not None:
         check_file(out)
+    if scenario == "objects":
+        picture = write_objects(out or Path("objects.png"))
+        say(console_for(as_json=False), f"picture: {picture}")
+        return
     loaded = _load(scenario, scenario_text, None, None, None, seed)
     console = console_for(as_json=False)
     if out is None:

@@ -6,7 +6,8 @@ from pathlib import Path
 from pydrake.geometry import Meshcat
 from rich.console import Console
 
-from tog_drake.drawing import decision_image
+from tog_drake.contact_sheet import contact_sheet
+from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
 from tog_drake.report import EpisodeReport
@@ -47,6 +48,12 @@ def _scene(scenario: Scenario) -> Meshcat:
 def write_scene(scenario: Scenario, path: Path) -> None:
     """Writes the scene as it is at the start as a static page."""
     write_atomically(path, _scene(scenario).StaticHtml())
+
+
+def write_objects(path: Path) -> Path:
+    """Draws all objects on one sheet and writes it as a PNG; returns where."""
+    write_atomically(path, encode_png(contact_sheet(), compression=9))
+    return path
 
 
 def serve_scene(scenario: Scenario, console: Console) -> None:

@@ -21,7 +21,13 @@ BLADE = 0.0028  # thickness of one blade
 
 # The corners of a bow's middle line at y > 0. Its inner side goes on to the pivot.
 PIVOT_END = (-0.012, 0.0068)
-CORNERS = [(-0.036, 0.0068), (-0.092, 0.0090), (-0.106, 0.0235), (-0.097, 0.0430), (-0.056, 0.0415)]
+CORNERS = [
+    (-0.050, 0.0068),
+    (-0.100, 0.0090),
+    (-0.114, 0.0235),
+    (-0.105, 0.0430),
+    (-0.068, 0.0415),
+]
 
 
 def rounded(corners: Sequence[tuple[float, float]], cut: float) -> Array:
@@ -88,7 +94,7 @@ SCISSORS = Thing(
 A pair of kitchen scissors lying closed on its side: steel blades, orange handles with two bows,
 open inside.
 Frame: z up, table at z = 0; x from the bows to the tips.
-210 x 96 x 18 mm; blades 100 mm beyond the handles, 5.6 mm thick together, 6 mm above the table.
+218 x 96 x 18 mm; blades 100 mm beyond the handles, 5.6 mm thick together, 6 mm above the table.
 Steel 7850 kg/m3; each handle 38 g (about 30 cm3, of ABS with the blade's tang in it).
 """,
     [
