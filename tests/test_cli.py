@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import product
 from typing import get_type_hints
 
 import pytest
@@ -17,6 +18,7 @@ from command import refused, tog
 from tog_drake import cli, evaluation
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
+from tog_drake.scenario import scenario_files
 
 COMMANDS = typer.main.get_command(cli.app).commands
 SCENARIOS = [
@@ -408,26 +410,54 @@ def test_eval_runs_every_task_of_an_object_and_counts_failures(out_of_view, tmp_
     assert [json.loads(text)["task"] for text in lines] == ["use the hammer", "hand me the hammer"]
 
 
-def test_eval_needs_scenarios_of_one_object(tmp_path):
+def test_eval_asks_for_every_object_of_a_scenario(tmp_path):
     two = _write_scenario(tmp_path / "two.yaml", _hammer_at(0.5, "left"), _hammer_at(0.7, "right"))
-    done = tog("eval", "--scenarios", two, "--out", tmp_path / "e")
-    refused(done, "2 labelled objects", "left, right")
+    cells = evaluation.make_cells([str(two)], ["oracle"], [0, 1], tasks=["handover"])
+    assert [(cell.object, cell.seed) for cell in cells] == [
+        ("left", 0), ("left", 1), ("right", 0), ("right", 1),
+    ]  # fmt: skip
+    assert {cell.tasks for cell in cells} == {("hand me the hammer",)}
+    assert len({cell.name for cell in cells}) == 4
+
+
+def test_a_selector_that_does_not_read_the_task_runs_once_for_all_tasks():
+    tasks = ("use the hammer", "hand me the hammer")
+    blind = evaluation.make_cells(["Hammer"], ["top-score"], [0], tasks=["use", "handover"])
+    reading = evaluation.make_cells(["Hammer"], ["oracle"], [0], tasks=["use", "handover"])
+    assert [cell.tasks for cell in blind] == [tasks]
+    assert [cell.tasks for cell in reading] == [tasks[:1], tasks[1:]]
+
+
+def test_the_parts_are_named_in_turn_by_the_seed():
+    cells = evaluation.make_cells(["Mug"], ["oracle"], [0, 1, 2], tasks=["part"])
+    assert [cell.tasks[0].split()[-1] for cell in cells] == ["handle", "body", "handle"]
+
+
+def test_groups_stand_for_all_single_objects_and_all_clutter():
+    objects, clutter = (evaluation.scenario_names([group]) for group in ("objects", "clutter"))
+    assert clutter == list(evaluation.CLUTTER)
+    assert set(objects) == set(scenario_files()) - set(clutter)
+
+
+def test_eval_refuses_an_unknown_kind_of_task(tmp_path):
+    done = tog("eval", "--scenarios", "Mug", "--tasks", "juggle", "--out", tmp_path / "e")
+    refused(done, "juggle", "use, handover, part")
 
 
 def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):
     asked = []
 
-    def evaluate(scenarios, selectors, seeds, **rest):
-        asked.extend([scenarios, selectors, list(seeds)])
+    def evaluate(cells, **rest):
+        asked.extend((cell.scenario, cell.selector, cell.seed) for cell in cells)
         return [_episode("Mug", "random", "lifted")]
 
     monkeypatch.setattr(evaluation, "evaluate", evaluate)
     done = tog(
         "eval", "--scenarios", "Hammer, Mug", "--selectors", "random ,oracle", "--seeds", 2,
-        "--out", tmp_path,
+        "--tasks", "use", "--out", tmp_path,
     )  # fmt: skip
     assert done.status == 0, done.err
-    assert asked == [["Hammer", "Mug"], ["random", "oracle"], [0, 1]]
+    assert sorted(asked) == sorted(product(["Hammer", "Mug"], ["random", "oracle"], [0, 1]))
 
 
 def _episode(scenario, selector, outcome, compliance=True):
@@ -435,7 +465,7 @@ def _episode(scenario, selector, outcome, compliance=True):
     return {
         "scenario": scenario, "selector": {"kind": selector}, "outcome": outcome,
         "grasp_success": lifted, "task_compliance": compliance,
-        "combined_success": lifted and compliance,
+        "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
     }  # fmt: skip
 
 
@@ -459,3 +489,10 @@ def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
     everything = rows["random", "all"]
     assert (everything["n"], everything["grasp"], everything["both"]) == (4, 0.5, 0.25)
     assert rows["oracle", "all"]["failures"] == ""
+
+
+def test_intervals_are_wilsons():
+    # Worked by hand: (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n), p = 0.9, n = 10, z = 1.96.
+    low, high = evaluation.wilson(9, 10)
+    assert (low, high) == pytest.approx((0.5958, 0.9821), abs=1e-4)
+    assert evaluation.wilson(10, 10)[1] == 1.0

@@ -13,7 +13,14 @@ from rich.table import Table
 
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
-from tog_drake.terminal import console_for, keep_drake_quiet, print_json, print_stages, say
+from tog_drake.terminal import (
+    console_for,
+    keep_drake_quiet,
+    print_json,
+    print_rates,
+    print_stages,
+    say,
+)
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -197,17 +204,26 @@ def choose(
 @app.command("eval", epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
 def evaluate_(
     selectors: Annotated[str, typer.Option(help="Comma-separated.")] = "top-score,oracle",
-    scenarios: Annotated[str, typer.Option(help="Comma-separated.")] = (
-        "Hammer,Mug,Screwdriver,Spoon,Spatula,Brush"
+    scenarios: Annotated[
+        str,
+        typer.Option(
+            help="Comma-separated; `objects` is every single object, `clutter` all three."
+        ),
+    ] = "objects",
+    tasks: Annotated[str, typer.Option(help="Comma-separated: use, handover, part.")] = (
+        "use,handover"
     ),
     seeds: Annotated[int, typer.Option(min=1, help="Poses of each object: seeds 0 .. N-1.")] = 5,
+    noise: NoiseOption = False,
+    scenario_text: ScenarioText = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
-    out: Annotated[Path, typer.Option(help="Folder for episodes.jsonl.")] = Path("out/eval"),
+    out: Annotated[
+        Path, typer.Option(help="Folder for episodes.jsonl and pictures of the failures.")
+    ] = Path("out/eval"),
     as_json: JsonOption = False,
 ) -> None:
     """Run objects, seeds and tasks with each selector, and print the table of successes."""
-    from tog_drake.evaluation import evaluate, summarize
-    from tog_drake.files import write_atomically
+    from tog_drake.evaluation import evaluate, make_cells, scenario_names, summarize
     from tog_drake.pipeline import SELECTORS
     from tog_drake.selectors.oracle import ORACLE_NOTE
 
@@ -216,14 +232,16 @@ def evaluate_(
     chosen = _names(selectors)
     for selector in chosen:
         _valid(selector, SELECTORS, "selector")
-    records = evaluate(_names(scenarios), chosen, range(seeds), workers=workers, console=console)
-    lines = "".join(json.dumps(record) + "\n" for record in records)
-    write_atomically(out / "episodes.jsonl", lines)
-    rows = summarize(records)
-    table = Table(*rows[0])
-    for row in rows:
-        table.add_row(*(f"{v:.2f}" if isinstance(v, float) else str(v) for v in row.values()))
-    console.print(table)
+    cells = make_cells(
+        scenario_names(_names(scenarios)),
+        chosen,
+        range(seeds),
+        tasks=_names(tasks),
+        noise=noise,
+        text=scenario_text,
+    )
+    rows = summarize(evaluate(cells, workers=workers, out=out, console=console))
+    print_rates(console, rows)
     if "oracle" in chosen:
         say(console, f"oracle: {ORACLE_NOTE}")
     print_json(as_json, {"rows": rows, "oracle": ORACLE_NOTE})

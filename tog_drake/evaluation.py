@@ -1,75 +1,146 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context
+from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 
-from tog_drake.episode import load_objects, run_episode
+from tog_drake.cameras import with_noise
+from tog_drake.compliance import ObjectParts
+from tog_drake.drawing import decision_image, encode_png
+from tog_drake.episode import Episode, load_objects, run_episode
 from tog_drake.errors import InputError, TogError
+from tog_drake.files import write_atomically
+from tog_drake.judge import complies
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord
-from tog_drake.scenario import load_scenario
+from tog_drake.scenario import load_scenario, scenario_files
 from tog_drake.terminal import keep_drake_quiet
 
-# What is asked for each intent that an object is labelled for; {} is what the object is.
-_TASKS = {"use": "use the {}", "handover": "hand me the {}"}
+CLUTTER = ("Household", "Kitchen", "Tools")
+"""The scenarios of several objects; every other one holds a single object."""
+
+# What is asked of an object, by the kind of task.
+TASKS = {
+    "use": "use the {object}",
+    "handover": "hand me the {object}",
+    "part": "pick up the {object} by its {part}",
+}
+# They do not read the task: one episode serves every task, and is judged for each.
+_TASK_BLIND = ("top-score", "random")
 
 _BATCH = 20  # episodes between two renewals of the workers
 
 
 @dataclass(frozen=True)
-class _Cell:
-    """One episode to run."""
+class Cell:
+    """One episode to run, and every task that it is judged for."""
 
     scenario: str
-    task: str
+    object: str  # model instance
     selector: str
     seed: int
+    tasks: tuple[str, ...]  # the first is what the robot is told
+    noise: bool
+    text: str | None  # YAML over the scenario
+
+    @property
+    def name(self) -> str:
+        """What tells it from others, fit for a file's name."""
+        words = [self.selector, self.scenario, self.object, str(self.seed), *self.tasks[0].split()]
+        return "-".join(words).lower()
 
 
-def evaluate(
+def scenario_names(names: Iterable[str]) -> list[str]:
+    """Returns scenarios by name; `objects` and `clutter` stand for all of that kind."""
+    groups = {
+        "objects": [name for name in scenario_files() if name not in CLUTTER],
+        "clutter": list(CLUTTER),
+    }
+    return [scenario for name in names for scenario in groups.get(name, [name])]
+
+
+def make_cells(
     scenarios: Sequence[str],
     selectors: Sequence[str],
     seeds: Sequence[int],
     *,
-    workers: int,
-    console: Console,
-) -> list[EpisodeRecord]:
-    """Runs all episodes in ``workers`` processes; the records come in a fixed order.
+    tasks: Sequence[str],
+    noise: bool = False,
+    text: str | None = None,
+) -> list[Cell]:
+    """Returns the episodes to run, in a fixed order.
 
-    Each object is put down as each seed says, and asked for by each intent of its labels.
+    Every labelled object of a scenario is asked for, as each seed puts it down. A task of the
+    kind "part" names the parts in turn, by the seed.
 
     Raises:
-        InputError: if a scenario is unknown, or has not one object.
+        InputError: if a scenario or a kind of task is unknown, or a scenario has no object.
     """
-    cells = [
-        _Cell(scenario, task, selector, seed)
-        for selector in selectors
-        for scenario in scenarios
-        for task in _tasks(scenario)
-        for seed in seeds
-    ]
+    unknown = [kind for kind in tasks if kind not in TASKS]
+    if unknown:
+        raise InputError(f"unknown kind of task {unknown[0]!r}; valid: {', '.join(TASKS)}")
+    cells = []
+    for scenario in scenarios:
+        objects = load_objects(load_scenario(scenario, text))
+        if not objects:
+            raise InputError(f"scenario {scenario} holds no labelled object")
+        for selector in selectors:
+            for name, labels in objects.items():
+                for seed in seeds:
+                    said = tuple(_tasks(labels, tasks, seed))
+                    told = [said] if selector in _TASK_BLIND else [(task,) for task in said]
+                    cells += [
+                        Cell(scenario, name, selector, seed, t, noise, text) for t in told if t
+                    ]
+    return cells
+
+
+def _tasks(labels: ObjectParts, kinds: Sequence[str], seed: int) -> Iterator[str]:
+    name = labels.object.replace("_", " ")
+    parts = list(labels.part_words)
+    part = parts[seed % len(parts)].replace("_", " ")
+    for kind in kinds:
+        if kind == "part" or labels.tasks.get(kind):
+            yield TASKS[kind].format(object=name, part=part)
+
+
+def evaluate(
+    cells: Sequence[Cell], *, workers: int, out: Path, console: Console
+) -> list[EpisodeRecord]:
+    """Runs the episodes in ``workers`` processes; the records come in the order of the cells.
+
+    Every finished episode is a line of ``out/episodes.jsonl`` at once, and one that failed leaves
+    a picture of what was seen and chosen in ``out/failures``.
+    """
     records: list[EpisodeRecord] = []
-    with Progress(console=console) as progress:
+    out.mkdir(parents=True, exist_ok=True)
+    with (
+        (out / "episodes.jsonl").open("w", encoding="utf-8") as file,
+        Progress(console=console) as progress,
+    ):
         bar = progress.add_task("episodes", total=len(cells))
         for start in range(0, len(cells), _BATCH):
-            for record in _run_batch(cells[start : start + _BATCH], workers):
-                records.append(record)
+            for judged in _run_batch(cells[start : start + _BATCH], workers, out):
+                records += judged
+                file.write("".join(json.dumps(record) + "\n" for record in judged))
+                file.flush()
                 progress.advance(bar)
     return records
 
 
-def _run_batch(cells: list[_Cell], workers: int) -> Iterator[EpisodeRecord]:
+def _run_batch(cells: Sequence[Cell], workers: int, out: Path) -> Iterator[list[EpisodeRecord]]:
     """Runs some episodes in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
     with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
         try:
-            yield from pool.map(_run, cells)
+            yield from pool.map(_run, cells, [out] * len(cells))
         except BrokenProcessPool as error:
             raise TogError(
                 "a worker process died, perhaps for want of memory; try fewer --workers"
@@ -80,30 +151,48 @@ def _run_batch(cells: list[_Cell], workers: int) -> Iterator[EpisodeRecord]:
             raise
 
 
-def _tasks(scenario: str) -> list[str]:
-    objects = load_objects(load_scenario(scenario))
-    if len(objects) != 1:
-        raise InputError(
-            f"scenario {scenario} holds {len(objects)} labelled objects "
-            f"({', '.join(objects) or 'none'}); only scenarios of one object can be compared"
-        )
-    (labels,) = objects.values()
-    name = labels.object.replace("_", " ")
-    return [text.format(name) for intent, text in _TASKS.items() if labels.tasks.get(intent)]
-
-
-def _run(cell: _Cell) -> EpisodeRecord:
-    scenario = load_scenario(cell.scenario)
+def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
+    scenario = load_scenario(cell.scenario, cell.text)
     scenario.random_seed = cell.seed
     scenario.pipeline.selector = SELECTORS[cell.selector]()
-    return run_episode(scenario, name=cell.scenario, task=cell.task).record
+    if cell.noise:
+        scenario.cameras = with_noise(scenario.cameras)
+    episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
+    if not episode.record["grasp_success"]:
+        _save_picture(out / "failures" / f"{cell.name}.png", episode)
+    labels = load_objects(scenario)[cell.object]
+    return [_judged_for(task, episode.record, labels) for task in cell.tasks]
+
+
+def _save_picture(path: Path, episode: Episode) -> None:
+    decision = episode.decision
+    if decision.view is not None:
+        image = decision_image(decision.view, decision.candidates, decision.choice)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, encode_png(image))
+
+
+def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> EpisodeRecord:
+    """The record of the same episode, had the robot been told another task: it reads none."""
+    if task == record["task"]:
+        return record
+    allowed = labels.allowed(task)
+    judged = record.copy()
+    judged["task"] = task
+    judged["allowed"] = None if allowed is None else sorted(allowed)
+    judged["task_compliance"] = complies(record["held"], allowed)
+    judged["combined_success"] = (
+        None if allowed is None else record["grasp_success"] and judged["task_compliance"]
+    )
+    return judged
 
 
 def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | float]]:
     """Returns success rates by selector and scenario, and a row "all" for each selector.
 
-    ``grasp``, ``task`` and ``both`` are shares of all episodes; an episode that ended early
-    counts as a failure of each.
+    ``grasp``, ``strict`` (held without turning by more than 10°), ``task`` and ``both`` are shares
+    of all episodes; an episode that ended early counts as a failure of each. ``_low`` and ``_high``
+    bound them with 95 % confidence (Wilson 1927).
     """
     rows: list[dict[str, str | int | float]] = []
     selectors = dict.fromkeys(record["selector"]["kind"] for record in records)
@@ -112,20 +201,40 @@ def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | fl
         of_selector = [r for r in records if r["selector"]["kind"] == selector]
         for scenario in (*scenarios, None):
             chosen = [r for r in of_selector if scenario in (None, r["scenario"])]
-            if not chosen:
-                continue
-            failures: dict[str, int] = {}
-            for outcome in (r["outcome"] for r in chosen if r["outcome"] != "lifted"):
-                failures[outcome] = failures.get(outcome, 0) + 1
-            rows.append(
-                {
-                    "selector": selector,
-                    "scenario": scenario or "all",
-                    "n": len(chosen),
-                    "grasp": sum(bool(r["grasp_success"]) for r in chosen) / len(chosen),
-                    "task": sum(bool(r["task_compliance"]) for r in chosen) / len(chosen),
-                    "both": sum(bool(r["combined_success"]) for r in chosen) / len(chosen),
-                    "failures": ", ".join(f"{n} {outcome}" for outcome, n in failures.items()),
-                }
-            )
+            if chosen:
+                rows.append(_row(selector, scenario or "all", chosen))
     return rows
+
+
+def _row(
+    selector: str, scenario: str, records: Sequence[EpisodeRecord]
+) -> dict[str, str | int | float]:
+    row: dict[str, str | int | float] = {
+        "selector": selector,
+        "scenario": scenario,
+        "n": len(records),
+    }
+    successes = {
+        "grasp": [r["grasp_success"] for r in records],
+        "strict": [r["strict_success"] for r in records],
+        "task": [r["task_compliance"] for r in records],
+        "both": [r["combined_success"] for r in records],
+    }
+    for name, values in successes.items():
+        count = sum(map(bool, values))
+        row[name] = count / len(records)
+        row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(records))
+    failures: dict[str, int] = {}
+    for outcome in (r["outcome"] for r in records if r["outcome"] != "lifted"):
+        failures[outcome] = failures.get(outcome, 0) + 1
+    row["collisions"] = sum(bool(r["collisions"]) for r in records)
+    row["failures"] = ", ".join(f"{n} {outcome}" for outcome, n in failures.items())
+    return row
+
+
+def wilson(successes: int, n: int) -> tuple[float, float]:
+    """Returns the 95 % confidence interval of a rate (Wilson 1927)."""
+    from scipy.stats import binomtest  # slow to import
+
+    interval = binomtest(successes, n).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)

@@ -160,12 +160,17 @@ def verdict_of(
     """
     outcome, message = _outcome(samples, phases, stopped, target)
     held = _held_at_lift_off(samples, phases["lift"], target)
-    compliance = None
-    if allowed is not None:
-        compliance = sum(held.get(part, 0.0) for part in allowed) >= COMPLIANT_SHARE
+    compliance = complies(held, allowed)
     turned = _turned(samples, phases["lift"]) if outcome == "lifted" else None
     collisions = _collisions(samples)
     return Verdict(outcome, message, held, compliance, samples[-1].lift, turned, collisions)
+
+
+def complies(held: Mapping[str, float], allowed: Collection[str] | None) -> bool | None:
+    """Returns whether the shares of the pads' force by part are as allowed; None: nothing said."""
+    if allowed is None:
+        return None
+    return sum(held.get(part, 0.0) for part in allowed) >= COMPLIANT_SHARE
 
 
 def _outcome(

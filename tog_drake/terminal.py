@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from tog_drake.record import EpisodeRecord
 
 
@@ -36,6 +38,23 @@ def say(console: Console, text: str) -> None:
 def print_json(as_json: bool, content: Any) -> None:
     if as_json:
         sys.stdout.write(json.dumps(content) + "\n")
+
+
+def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
+    """The table of successes; each rate with its 95 % interval."""
+    rates = ("grasp", "strict", "task", "both")
+    table = Table("selector", "scenario", "n", *rates, "collisions", "failures")
+    for row in rows:
+        intervals = (f"{row[r]:.2f} [{row[r + '_low']:.2f}, {row[r + '_high']:.2f}]" for r in rates)
+        table.add_row(
+            row["selector"],
+            row["scenario"],
+            str(row["n"]),
+            *intervals,
+            str(row["collisions"]),
+            row["failures"],
+        )
+    console.print(table)
 
 
 def print_stages(console: Console, record: "EpisodeRecord") -> None:
