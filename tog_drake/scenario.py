@@ -26,6 +26,8 @@ from tog_drake.resources import make_package_map, resource_dir
 from tog_drake.schema_check import check_yaml
 
 MAX_SCENARIO_BYTES = 1_000_000  # a scenario is a page; anything larger is not one
+MAX_GRIP_FORCE = 140.0  # [N] the Franka hand's, for a moment (data sheet; 70 N continuously)
+MAX_FRICTION = 2.0  # rubber on rubber; more is a slip of the pen
 
 # The wrist camera half a metre above the table's middle, tilted 24° [rad].
 LOOK_POSTURE = (0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853)
@@ -64,6 +66,10 @@ class Scenario:
         }
     )
     """Joint positions at the start [rad or m]: looking at the table with the hand open."""
+    grip_force: float = 70.0
+    """The greatest force of each finger [N]; the hand's data sheet gives 70, at most 140."""
+    object_friction: float | None = None
+    """Replaces the friction coefficient of every free object and of the fingers."""
     cameras: dict[str, L515 | D435 | CameraConfig] = field(
         default_factory=lambda: {"wrist": L515()}
     )
@@ -128,14 +134,30 @@ def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:
         )
     except (RuntimeError, ValueError, TypeError, AttributeError, yaml.YAMLError) as error:
         raise InputError(f"{source}: {error}") from error
+    _check(scenario, source)
+    return scenario
+
+
+def _check(scenario: Scenario, source: str) -> None:
+    """Raises InputError for a value that is of the right type, but senseless."""
     if scenario.random_seed < 0:
         raise InputError(f"{source}: random_seed must not be below 0, not {scenario.random_seed}")
+    if not 0 < scenario.grip_force <= MAX_GRIP_FORCE:
+        raise InputError(
+            f"{source}: grip_force must be above 0 and at most {MAX_GRIP_FORCE:g} N, not "
+            f"{scenario.grip_force:g}"
+        )
+    friction = scenario.object_friction
+    if friction is not None and not 0 < friction <= MAX_FRICTION:
+        raise InputError(
+            f"{source}: object_friction must be above 0 and at most {MAX_FRICTION:g}, or left out "
+            f"for what each model says, not {friction:g}"
+        )
     if scenario.plant_config.discrete_contact_approximation == "tamsi":
         raise InputError(
             f"{source}: plant_config.discrete_contact_approximation: tamsi ignores the coupling "
             "of the fingers and the joint gains; valid: lagged, similar, sap"
         )
-    return scenario
 
 
 def sampled_directives(scenario: Scenario) -> list[ModelDirective]:

@@ -2,7 +2,14 @@
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    ProximityProperties,
+    RoleAssign,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import (
     GetScopedFrameByName,
@@ -10,8 +17,8 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, PdControllerGains
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import JointActuator, ModelInstanceIndex, PdControllerGains
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import (
     Demultiplexer,
@@ -22,7 +29,7 @@ from pydrake.systems.sensors import CameraConfig, RgbdSensor
 
 from tog_drake.cameras import noise_of
 from tog_drake.errors import InputError
-from tog_drake.panda import FINGER_JOINT_NAMES, JOINT_NAMES
+from tog_drake.panda import FINGER_BODIES, FINGER_JOINT_NAMES, JOINT_NAMES
 from tog_drake.planning_model import HAND, PANDA
 from tog_drake.rendering import make_render_engine
 from tog_drake.resources import make_package_map
@@ -69,6 +76,8 @@ class SimulationStation(Diagram):
         self.plant, self.scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         _add_models(self.plant, scenario)
         self.plant.Finalize()
+        if scenario.object_friction is not None:
+            _set_friction(self.plant, self.scene_graph, scenario.object_friction)
         _connect_arm(builder, self.plant)
         _connect_hand(builder, self.plant)
         _add_cameras(builder, self.plant, self.scene_graph, scenario)
@@ -98,9 +107,13 @@ def _add_models(plant: MultibodyPlant, scenario: Scenario) -> None:
 
     panda, hand = (plant.GetModelInstanceByName(name) for name in (PANDA, HAND))
     for joint, p in zip(JOINT_NAMES, ARM_P, strict=True):
-        _set_gains(plant, panda, joint, p, ARM_D_OVER_SQRT_P * p**0.5)
+        gains = PdControllerGains(p=p, d=ARM_D_OVER_SQRT_P * p**0.5)
+        _actuator(plant, panda, joint).set_controller_gains(gains)
     for joint in FINGER_JOINT_NAMES:
-        _set_gains(plant, hand, joint, FINGER_P, FINGER_D)
+        _actuator(plant, hand, joint).set_controller_gains(
+            PdControllerGains(p=FINGER_P, d=FINGER_D)
+        )
+        _actuator(plant, hand, joint).set_effort_limit(scenario.grip_force)
     # One motor drives both fingers of the real hand.
     left, right = (plant.GetJointByName(joint, hand) for joint in FINGER_JOINT_NAMES)
     plant.AddCouplerConstraint(left, right, 1.0)
@@ -109,16 +122,31 @@ def _add_models(plant: MultibodyPlant, scenario: Scenario) -> None:
         plant.set_gravity_enabled(instance, False)
 
 
-def _set_gains(
-    plant: MultibodyPlant, instance: ModelInstanceIndex, joint: str, p: float, d: float
-) -> None:
+def _actuator(plant: MultibodyPlant, instance: ModelInstanceIndex, joint: str) -> JointActuator:
     wanted = plant.GetJointByName(joint, instance)
     for index in plant.GetJointActuatorIndices():  # by instance it is empty before Finalize
         actuator = plant.get_joint_actuator(index)
         if actuator.joint().index() == wanted.index():
-            actuator.set_controller_gains(PdControllerGains(p=p, d=d))
-            return
+            return actuator
     raise InputError(f"joint {joint} of the robot model has no actuator")
+
+
+def _set_friction(plant: MultibodyPlant, scene_graph: SceneGraph, coefficient: float) -> None:
+    """Gives all free bodies and the fingers the same ``coefficient``.
+
+    Contact between two of them then has it too: Drake combines two coefficients by their harmonic
+    mean (``CalcContactFrictionFromSurfaceProperties``).
+    """
+    hand = plant.GetModelInstanceByName(HAND)
+    bodies = [plant.get_body(index) for index in plant.GetFloatingBaseBodies()]
+    bodies += [plant.GetBodyByName(name, hand) for name in FINGER_BODIES]
+    friction = CoulombFriction(coefficient, coefficient)
+    for geometry in (g for b in bodies for g in plant.GetCollisionGeometriesForBody(b)):
+        properties = ProximityProperties(
+            scene_graph.model_inspector().GetProximityProperties(geometry)
+        )
+        properties.UpdateProperty("material", "coulomb_friction", friction)
+        scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
 
 
 def _connect_arm(builder: DiagramBuilder, plant: MultibodyPlant) -> None:
