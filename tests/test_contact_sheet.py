@@ -33,8 +33,8 @@ def test_every_object_is_on_the_sheet_and_only_objects(tmp_path: Path):
 
 def test_a_tile_shows_size_mass_and_every_part_in_its_colour():
     (tile,) = object_tiles(["bottle"])
-    np.testing.assert_allclose(tile.size, [0.056, 0.056, 0.179], atol=0.001)
-    assert tile.mass == pytest.approx(0.346, abs=0.001)
+    np.testing.assert_allclose(tile.size, [0.056, 0.056, 0.183], atol=0.001)
+    assert tile.mass == pytest.approx(0.348, abs=0.001)
     image = tile_image(tile)[PICTURE[1] :].reshape(-1, 3)
     for color in PART_COLORS[: len(tile.labels.part_words)]:
         assert (image == color).all(axis=1).sum() >= 100  # in the legend

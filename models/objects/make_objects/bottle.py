@@ -45,12 +45,12 @@ BODY = [
 ]
 
 
-CAP_RINGS = [level(0.0147, 0.1625), level(0.0147, 0.1770), level(0.0130, 0.1790)]
+CAP_RINGS = [level(0.0147, 0.1665), level(0.0147, 0.1810), level(0.0130, 0.1830)]
 
 
 def ridge(i: int, count: int) -> Piece:
     angle = 2 * np.pi * i / count
-    xyz = (0.0147 * np.cos(angle), 0.0147 * np.sin(angle), 0.1705)
+    xyz = (0.0147 * np.cos(angle), 0.0147 * np.sin(angle), 0.1745)
     rib = Box(0.0008, 0.0012, 0.0120)
     return Piece(f"ridge_{i:02d}", rib, RIDGE, xyz, (0, 0, angle), solid=False)
 
@@ -61,12 +61,12 @@ BOTTLE = Thing(
 A small bottle of water standing upright, nearly full: pale blue, with a label around it and a blue
 screw cap.
 Frame: z up along the bottle's axis, table at z = 0.
-Diameter 56 mm, 179 mm high; cap 30 x 17 mm. Body (a third of a litre) 960 kg/m3, neck 700, cap 600.
+Diameter 56 mm, 183 mm high; cap 30 x 17 mm. Body (a third of a litre) 960 kg/m3, neck 700, cap 600.
 """,
     [
         Piece("body", loft(BODY), WATER),
-        Piece("neck", Cylinder(0.0125, 0.0110), PET, (0, 0, 0.1575)),
-        Piece("collar", Cylinder(0.0160, 0.0020), PET, (0, 0, 0.1605)),
+        Piece("neck", Cylinder(0.0125, 0.0150), PET, (0, 0, 0.1595)),
+        Piece("collar", Cylinder(0.0160, 0.0020), PET, (0, 0, 0.1645)),
         Piece("cap", loft(CAP_RINGS), CAP),
         Piece("label", hoop(around(RADIUS + 0.0006, 0.040, 0.092)), LABEL, solid=False),
         Piece("print", hoop(around(RADIUS + 0.0012, 0.056, 0.078)), PRINT, solid=False),
