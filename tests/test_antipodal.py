@@ -234,6 +234,16 @@ def test_of_a_thick_block_no_corner_is_preferred_to_the_block(hidden):
     assert np.mean(across) > 0.5
 
 
+def test_the_edge_of_a_top_that_smoothing_rounded_is_not_taken_for_a_slope():
+    point, normal = patch([0.40, -0.015, 0.02], [0.20, 0, 0], [0, 0.03, 0], UP)
+    at_edge = np.abs(point[:, 1]) > 0.011
+    side = np.sign(point[:, 1])
+    normal[at_edge] = np.column_stack([0 * side, 0.42 * side, 0 * side + 0.91])[at_edge]
+    grasps = propose((point, normal))
+    assert len(grasps) > 100
+    assert np.median(np.abs(grasps.X_WG[:10, 1, 1])) > np.cos(np.radians(5))
+
+
 def test_a_cap_gets_grasps_that_hold_it_alone():
     body = joined(tube(0.028, 0.004, 0.12), disk(0.028, 0.12))
     cap = joined(tube(0.015, 0.12, 0.137), disk(0.015, 0.137))

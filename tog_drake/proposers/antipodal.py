@@ -18,11 +18,11 @@ from tog_drake.panda import (
     FINGER_THICKNESS,
     FINGERTIP_Z,
     MAX_OPENING,
-    PAD_WIDTH,
     PALM_Z,
     arrival_opening,
 )
 from tog_drake.points import Rows
+from tog_drake.proposers.grip_quality import MIN_FACING, confidence, facing_of, middle_rows
 from tog_drake.proposers.hypotheses import (
     Surface,
     Tries,
@@ -30,7 +30,7 @@ from tog_drake.proposers.hypotheses import (
     spread_anchors,
     thinned_surface,
 )
-from tog_drake.proposers.profile import REACH, profiles, walk_outwards
+from tog_drake.proposers.profile import REACH, SLAB, profiles, walk_outwards
 from tog_drake.values import Array, Grasps, Workspace
 
 
@@ -52,18 +52,15 @@ class Antipodal:
     max_width: float = 0.072  # [m] between the contacts; the hand opens to 0.08
     table_clearance: float = 0.0035  # [m] between the hand and the table
     clearance: float = 0.002  # [m] between the open hand and every point
-    per_group: int = 10  # best deep and best shallow grasps of each anchor: checked exactly
+    per_kind: int = 6  # best grasps of each kind at an anchor that are checked exactly
     max_grasps: int = 300  # returned
 
 
 POINTS_PER_ANCHOR = 15  # of the searched cloud; a single thing has about 1000 points
-SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of what a finger may touch, along x
 HAND_REACH = 0.20  # [m] from an anchor, within which the hand could touch something
-EDGE = 0.005  # [m] a finger touches what is this close to the end of the stretch
 AT_PAD = 0.002  # [m] a pad is pressed against what is this close to the end
-MIN_FACING = 0.60  # cosine; a surface turned farther from its finger lets it slip at any friction
-UNSEEN = 0.75  # cosine for a side that was not seen but whose outline runs along the pad; times
-# that of the tilt, for what is outline from above may be the corner of a block from the side
+NARROW = 0.6  # of the width of the best grasp at the same anchor: less holds something else there
+SHALLOW = 0.005  # [m] less deep than that: may hold the top alone; and the spread of such
 
 
 class AntipodalProposer:
@@ -128,15 +125,13 @@ class _Grips:
     tip: Array  # (K,) [m] of the fingertips beyond the anchor, along z
     low: Array  # (K,) [m] end of the gripped stretch along y, to within a bin
     high: Array  # (K,) [m] the other end
-    shallow: NDArray[np.bool_]  # (K,) at the least depth
 
 
 @dataclass(frozen=True)
 class _Found(Grasps):
     """Grasps, before the hand is checked against its surroundings."""
 
-    group: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,) twice the row of the anchor on the surface; and one more for a shallow grip."""
+    anchor: Rows = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) rows of the surface
 
 
 def _sweep(surface: Surface, tries: Tries, deepest: float) -> _Sweep:
@@ -164,7 +159,7 @@ def _grips(
     lowest = _lowest_tip(surface, tries, table + config.table_clearance)
     before = np.full(len(lowest), -np.inf)
     grips = []
-    for i, depth in enumerate(sorted(config.depths)):
+    for depth in config.depths:
         tip = np.minimum(depth, lowest)
         attempt = np.flatnonzero((tip > 0.001) & (tip > before + 0.002))
         before, tip = tip, tip[attempt]
@@ -181,8 +176,7 @@ def _grips(
         fits &= stretch.room + config.bin >= aside + FINGER_THICKNESS
         fits &= tip - stretch.top >= config.min_depth
         fits &= tip - first_of_all[attempt] < FINGERTIP_Z - PALM_Z - config.clearance
-        shallow = np.full(np.count_nonzero(fits), i == 0)
-        grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits], shallow))
+        grips.append((attempt[fits], tip[fits], stretch.low[fits], stretch.high[fits]))
     return _Grips(*(np.concatenate(column) for column in zip(*grips, strict=True)))
 
 
@@ -206,22 +200,23 @@ def _measure(
 
     anchor, R_WG = tries.anchor[grips.attempt], tries.R_WG[grips.attempt]
     towards_y = np.einsum("ei,ei->e", surface.normal[row], R_WG[grip, :, 1])
-    upright = -R_WG[:, 2, 2]
-    facing_high, covered = _facing(x, y, towards_y, grip, high, upright)
-    facing_low, _ = _facing(x, -y, -towards_y, grip, -low, upright)
+    facing_high, seen_high, covered = facing_of(x, y, towards_y, grip, high)
+    facing_low, seen_low, _ = facing_of(x, -y, -towards_y, grip, -low)
     side = np.where(facing_high >= facing_low, 1, -1)[grip]
     depth_below = np.where(side > 0, high[grip] - y, y - low[grip])
-    contact = row[_middle_rows(x, sweep.z[e], depth_below < AT_PAD, grip, count)]
+    below = sweep.z[e] - (grips.tip - FINGERTIP_Z)[grip]
+    contact = row[middle_rows(x, below, depth_below < AT_PAD, grip, count)]
 
     X_WG = np.tile(np.eye(4), (count, 1, 1))
     X_WG[:, :3, :3] = R_WG
     offset = np.stack([np.zeros(count), (high + low) / 2, grips.tip - FINGERTIP_Z], axis=-1)
     X_WG[:, :3, 3] = surface.point[anchor] + np.einsum("nij,nj->ni", R_WG, offset)
     balance = surface.balance[surface.thing[anchor]]
-    score = _score(
+    score = confidence(
         facing=np.stack([facing_high, facing_low]),
+        seen=np.stack([seen_high, seen_low]),
         depth=grips.tip - top,
-        tilt=np.arccos(np.clip(upright, -1, 1)),
+        tilt=np.arccos(np.clip(-R_WG[:, 2, 2], -1, 1)),
         covered=covered,
         lever=np.linalg.norm(X_WG[:, :2, 3] - balance, axis=1),
         spare=max_width - (high - low),
@@ -230,7 +225,7 @@ def _measure(
     good = (np.bincount(grip[foreign], minlength=count) == 0) & (high - low <= max_width)
     good &= np.minimum(facing_high, facing_low) >= MIN_FACING
     width = (high - low).astype(np.float64)
-    found = _Found(X_WG, width, score, surface.point[contact], 2 * anchor + grips.shallow)
+    found = _Found(X_WG, width, score, surface.point[contact], anchor)
     return found.take(np.flatnonzero(good))
 
 
@@ -245,116 +240,52 @@ def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
     return grip[between], e[between]
 
 
-def _middle_rows(x: Array, z: Array, touched: NDArray[np.bool_], grip: Rows, count: int) -> Rows:
-    """Which of the points that a pad touches is in the middle of them, for each of K grips.
-
-    Args:
-        x, z: (E,) [m] the points between the fingers.
-        touched: (E,) those at one pad, at least one for each grip.
-        grip: (E,) 0 .. K−1, ascending: which grip each belongs to.
-
-    Returns:
-        (K,) rows of the E points.
-    """
-    row = np.flatnonzero(touched)
-    number = np.maximum(np.bincount(grip[row], minlength=count), 1)
-    away = [
-        v[row] - (np.bincount(grip[row], v[row], minlength=count) / number)[grip[row]]
-        for v in (x, z)
-    ]
-    order = np.lexsort((away[0] ** 2 + away[1] ** 2, grip[row]))
-    first = np.searchsorted(grip[row][order], np.arange(count))
-    return np.asarray(row[order][first])
-
-
-def _facing(
-    x: Array, y: Array, towards: Array, grip: Rows, end: Array, upright: Array
-) -> tuple[Array, Array]:
-    """How well the surface at the finger on the side of larger y faces it.
-
-    Where that surface was seen, its normals say so. Where it was not, only its outline is known,
-    which ought to run along the pad.
-
-    Args:
-        x, y: (E,) [m] the points between the fingers.
-        towards: (E,) cosine between their normals and the direction to the finger.
-        grip: (E,) 0 .. K−1, which grip each belongs to.
-        end: (K,) [m] the largest y of each grip.
-        upright: (K,) cosine of the tilt of the approach.
-
-    Returns:
-        (K,) cosine; (K,) the share of the pad's width along which there is something to hold.
-    """
-    count, bins = len(end), 5
-    at_end = y > end[grip] - EDGE
-    seen = at_end & (towards > 0.3)
-    number = np.bincount(grip[seen], minlength=count)
-    by_normals = np.bincount(grip[seen], towards[seen], minlength=count) / np.maximum(number, 1)
-    enough = number >= 0.25 * np.bincount(grip[at_end], minlength=count)
-
-    column = np.clip((x / SLAB + 1) / 2 * bins, 0, bins - 1).astype(np.int64)
-    outline = np.full(count * bins, -np.inf, dtype=y.dtype)
-    np.maximum.at(outline, grip * bins + column, y)
-    held = np.isfinite(outline).reshape(count, bins)
-    slope = _slope(np.where(held, outline.reshape(count, bins), 0), held)
-    by_outline = UNSEEN * upright / np.sqrt(1 + slope**2)
-    return np.where(enough, by_normals, by_outline), held.mean(axis=1)
-
-
-def _slope(y: Array, valid: NDArray[np.bool_]) -> Array:
-    """The slope (K,) of the line through the valid ones of B points across the slab, (K, B)."""
-    weight = valid / valid.sum(axis=1, keepdims=True)
-    x = np.arange(y.shape[1]) * (2 * SLAB / y.shape[1])
-    x = x - (weight * x).sum(axis=1, keepdims=True)
-    spread = (weight * x**2).sum(axis=1)
-    return np.asarray((weight * x * y).sum(axis=1) / np.maximum(spread, 1e-9))
-
-
-def _score(
-    *, facing: Array, depth: Array, tilt: Array, covered: Array, lever: Array, spare: Array
-) -> Array:
-    """Confidence in [0, 1] (K,), from what told good grasps from bad ones in simulated lifts.
-
-    Args:
-        facing: (2, K) cosine of the surface at each finger.
-        depth: (K,) [m] of the fingertips below the top of what is gripped.
-        tilt: (K,) [rad] of the approach from the vertical.
-        covered: (K,) share of the pad that holds something.
-        lever: (K,) [m] horizontally from where the centre of mass may be.
-        spare: (K,) [m] by which it could be wider.
-    """
-    return np.asarray(
-        0.30 * np.clip((facing - MIN_FACING) / (0.95 - MIN_FACING), 0, 1).mean(axis=0)
-        + 0.20 * np.minimum(depth / 0.025, 1)
-        + 0.10 * (1 - (tilt / np.radians(75)) ** 2)
-        + 0.10 * covered
-        + 0.25 * np.exp(-((lever / 0.06) ** 2))
-        + 0.05 * np.clip(spare / 0.02, 0, 1)
-    )
-
-
 def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Grasps:
-    """Of the best grasps of each anchor those at which the open hand is free, best first.
+    """The best grasps at which the open hand is free, best first.
 
-    Shallow grips count as another anchor's: deeper ones score higher, but where a small part sits
-    on top of a larger one, as a cap on a bottle, only shallow ones hold that part alone.
+    Every anchor's best comes first, then every anchor's best narrow one, its best shallow one, and
+    so on, so that no part is left out.
     """
-    found = found.take(np.lexsort((-found.score, found.group)))
-    found = found.take(np.flatnonzero(_rank(found.group) < config.per_group))
+    found = found.take(np.lexsort((-found.score, found.anchor)))
+    kind = _kinds(found)
+    kept = np.flatnonzero(_rank(found.anchor, kind) < config.per_kind)
+    found, kind = found.take(kept), kind[kept]
     if len(found) == 0:
         return Grasps.empty()
-    groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.group // 2)) + 1)
+    groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.anchor)) + 1)
     free = np.concatenate([_is_free(found.take(g), surface, config, table) for g in groups])
-    found = found.take(np.flatnonzero(free))
-    # Every group's best grasp comes before any group's second, so that no part is left out.
-    chosen = np.lexsort((-found.score, _rank(found.group)))[: config.max_grasps]
-    best = chosen[np.argsort(-found.score[chosen], kind="stable")]
+    found, kind = found.take(np.flatnonzero(free)), kind[free]
+    order = np.lexsort((-found.score, kind, _rank(found.anchor, kind)))[: config.max_grasps]
+    best = order[np.argsort(-found.score[order], kind="stable")]
     return Grasps(*(getattr(found, name)[best] for name in Grasps.__annotations__))
 
 
-def _rank(group: Rows) -> Rows:
-    """The place of each row within its group, from 0; ``group`` is ascending."""
-    return np.arange(len(group)) - np.searchsorted(group, group)
+def _kinds(found: _Found) -> Rows:
+    """Tells what may hold a small part alone: the ear of a cup, the cap on a bottle.
+
+    Args:
+        found: by anchor, best first.
+
+    Returns:
+        (N,) 1 for grasps that are far narrower than the best at their anchor, 2 for the least
+        deep of the others, else 0.
+    """
+    _, first, number = np.unique(found.anchor, return_index=True, return_inverse=True)
+    best = found.take(first[number])
+    retreat = np.einsum("ni,ni->n", best.X_WG[:, :3, 3] - found.X_WG[:, :3, 3], best.X_WG[:, :3, 2])
+    least_deep = np.maximum.reduceat(retreat, first)[number] - SHALLOW
+    return np.select(
+        [found.width < NARROW * best.width, retreat > np.maximum(least_deep, SHALLOW)], [1, 2], 0
+    )
+
+
+def _rank(anchor: Rows, kind: Rows) -> Rows:
+    """How many rows come before each with the same anchor and kind, (N,)."""
+    group = 3 * anchor + kind
+    order = np.argsort(group, kind="stable")
+    rank = np.empty(len(group), dtype=np.int64)
+    rank[order] = np.arange(len(group)) - np.searchsorted(group[order], group[order])
+    return rank
 
 
 def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> NDArray[np.bool_]:
@@ -363,7 +294,7 @@ def _is_free(found: _Found, surface: Surface, config: Antipodal, table: float) -
     free: NDArray[np.bool_] = lowest_corner(found.X_WG, lower, upper) > (
         table + config.table_clearance - 1e-6
     )
-    near = surface.tree.query_ball_point(surface.point[found.group[0] // 2], HAND_REACH)
+    near = surface.tree.query_ball_point(surface.point[found.anchor[0]], HAND_REACH)
     lower, upper = lower - config.clearance, upper + config.clearance
     free &= points_inside(found.X_WG, lower, upper, surface.point[near]) == 0
     return free

@@ -41,7 +41,7 @@ def thinned_surface(cloud: PointCloud, voxel: float) -> Surface:
     number = voxel_numbers(point, voxel)
     point, normal = group_means(number, point), group_means(number, normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
-    thing = clusters(neighbors(point, 12), 2 * voxel)
+    thing = clusters(neighbors(point, 12), 2.5 * voxel)
     return Surface(point, normal, thing, _balance(point, thing), cKDTree(point))
 
 

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tog_drake.panda import PAD_WIDTH
 from tog_drake.points import Rows
 from tog_drake.values import Array
 
+SLAB = PAD_WIDTH / 2 + 0.001  # [m] half the width of what a finger may touch, along x
 REACH = 0.10  # [m] half the span of a profile: half the palm is about as long
 _NOWHERE = 1000  # bins: farther than any
 
