@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from scipy.spatial import cKDTree
 from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look
 
+from tog_drake.cameras import D435, L515
 from tog_drake.cloud import CloudConfig, SceneCloud, scene_cloud
 from tog_drake.errors import InputError, NoGrasp
+from tog_drake.stations.depth_noise import noisy_depth
 from tog_drake.values import Workspace
 
 
@@ -142,3 +145,55 @@ def test_without_a_robot_the_stage_has_one_input(view):
     context = stage.CreateDefaultContext()
     stage.GetInputPort("view").FixValue(context, Value(view))
     assert stage.GetOutputPort("cloud").Eval(context).size() > 300
+
+
+def measured(view, preset, seed=0):
+    """The same view through a noisy camera."""
+    noise, focal = preset.depth_noise["640x480"], view.intrinsics.fx
+    depth = noisy_depth(view.depth, noise, focal, np.random.default_rng(seed))
+    return replace(view, depth=depth)
+
+
+def distance_to_box(p_W, box):
+    lower, upper = np.array(box[0]), np.array(box[1])
+    return np.linalg.norm(p_W - np.clip(p_W, lower, upper), axis=1)
+
+
+@pytest.mark.parametrize("preset", [L515, D435])
+def test_through_a_noisy_camera_the_box_is_there_and_hardly_anything_else(preset):
+    view = look([TABLE, HAMMER_SIZED], width=640, height=480)
+    exact = points(scene_cloud(view, Workspace(), CloudConfig()))
+    cloud = scene_cloud(measured(view, preset), Workspace(), CloudConfig())
+    p_W = points(cloud)
+    assert np.mean(distance_to_box(p_W, HAMMER_SIZED) > 0.005) < 0.01
+    assert np.mean(cKDTree(p_W).query(exact)[0] < 0.005) > 0.9
+    top = (p_W[:, 2] > 0.025) & (p_W[:, 0] > 0.42) & (p_W[:, 0] < 0.58) & (abs(p_W[:, 1]) < 0.008)
+    assert np.median(cloud.normals()[2, top]) > 0.97
+
+
+@pytest.mark.parametrize("preset", [L515, D435])
+def test_a_spatula_stands_out_of_a_noisy_table(preset):
+    flat = ((0.42, -0.03, 0.0), (0.54, 0.03, 0.008), RED)
+    view = look([TABLE, flat], width=640, height=480)
+    p_W = points(scene_cloud(measured(view, preset), Workspace(), CloudConfig()))
+    assert np.mean(distance_to_box(p_W, flat) > 0.005) < 0.03
+    seen = np.column_stack([np.ptp(p_W[:, 0]), np.ptp(p_W[:, 1])])
+    np.testing.assert_allclose(seen[0], [0.12, 0.06], atol=0.012)
+
+
+def test_what_counts_as_table_grows_with_the_noise_of_the_table():
+    view = look([TABLE, HAMMER_SIZED], width=640, height=480)
+    rng = np.random.default_rng(0)
+    coarse = np.kron(rng.normal(0, 0.004, (60, 80)), np.ones((8, 8)))  # no filter averages it out
+    noisy = replace(view, depth=(view.depth + coarse).astype(np.float32))
+    lowest = [points(scene_cloud(v, Workspace(), CloudConfig()))[:, 2].min() for v in (view, noisy)]
+    assert lowest[0] < 0.006
+    assert 0.007 < lowest[1] < 0.015
+
+
+def test_an_empty_table_is_no_grasp_through_a_noisy_camera_too():
+    empty = look([TABLE], width=640, height=480)
+    for preset in (L515, D435):
+        for seed in range(3):
+            with pytest.raises(NoGrasp, match="no object in view"):
+                scene_cloud(measured(empty, preset, seed), Workspace(), CloudConfig())

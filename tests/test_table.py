@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look, pose, recorded
 
+from tog_drake.cameras import D435, L515
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError
+from tog_drake.stations.depth_noise import noisy_depth
 from tog_drake.table import find_table
 
 BOTTLE = ((0.48, -0.03, 0.0), (0.54, 0.03, 0.2), RED)
@@ -65,6 +67,16 @@ def test_noise_is_measured_and_kept_out_of_the_workspace():
     assert 0.001 < table.noise < 0.0025
     assert table.workspace.lower[2] > 2 * table.noise
     assert table.workspace.table_height == 0
+
+
+@pytest.mark.parametrize("preset", [L515, D435])
+def test_a_noisy_camera_finds_the_same_table(preset):
+    view = look([TABLE, BOTTLE], width=640, height=480)
+    rng = np.random.default_rng(0)
+    depth = noisy_depth(view.depth, preset.depth_noise["640x480"], view.intrinsics.fx, rng)
+    table, exact = find_table(replace(view, depth=depth)), find_table(view)
+    assert table.X_WC[2, 3] == pytest.approx(exact.X_WC[2, 3], abs=0.001)
+    assert np.degrees(np.arccos(table.X_WC[2, :3] @ exact.X_WC[2, :3])) < 0.3
 
 
 def test_the_same_seed_gives_the_same_table():

@@ -1,7 +1,7 @@
 """From a view to the cloud of what stands on the table: cropped, thinned, with normals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,16 @@ from pydrake.common.value import Value
 from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
+from tog_drake.denoising import Image, denoised, inverse_depth_noise
 from tog_drake.errors import InputError, NoGrasp
-from tog_drake.pinhole import unproject
+from tog_drake.pinhole import unproject_pixels
 from tog_drake.points import clusters, group_means, neighbors, surface_normals, voxel_numbers
 from tog_drake.values import Array, View, Workspace
+
+_NEAR_TABLE = 0.02  # [m] points so close to the table's height tell how noisy it is
+_EXACT = 2e-4  # [m] a table whose points scatter less is seen without noise
+_BINS = 6  # into which they are sorted by depth
+_MIN_TABLE = 100  # points a bin needs
 
 Spheres = tuple[Array, Array]
 """Centres (S, 3) [m] in W and radii (S,) [m] of the balls that cover the robot."""
@@ -28,6 +34,9 @@ class CloudConfig:
     normal_neighbors: int = 16  # points that a normal is fitted to
     min_cluster_points: int = 20  # a smaller connected cluster is a speck, and dropped
     min_rise: float = 0.003  # [m] a cluster that rises less above the clearance is table, too
+    noise_margin: float = 2.5  # standard deviations of the table's own points that count as table
+    min_fill: float = 0.1  # of noisy depth: a cube is kept if it holds this share of the pixels
+    # that a surface seen squarely would put into it
     max_gap: float = 0.010  # [m] points farther apart than this are not connected
     robot_padding: float = 0.015  # [m] the robot's spheres are inflated by this
     max_slope: float = 10.0  # depth change per width; a steeper ramp is no surface but its edge
@@ -112,25 +121,24 @@ def scene_cloud(
             f"all {view.depth.size} pixels of the depth image are holes (0, NaN or inf): check the "
             "camera and the depth scale"
         )
-    floor = max(workspace.lower[2], workspace.table_height + config.table_clearance)
-    p_W, rgb = _crop(view, [*workspace.lower[:2], floor], workspace.upper, config.max_slope)
-    in_workspace = len(p_W)
-    number = voxel_numbers(p_W, config.voxel)
-    p_W, rgb = group_means(number, p_W), group_means(number, rgb)
+    view = replace(view, depth=denoised(view.depth, inverse_depth_noise(view.depth)))
+    pixel, noise = _standing_out(view, workspace, config)
+    p_W, rgb, noise = _thinned(view, pixel, noise, config)
     if robot is not None:
         keep = ~_inside(p_W, robot, config.robot_padding)
-        p_W, rgb = p_W[keep], rgb[keep]
+        p_W, rgb, noise = p_W[keep], rgb[keep], noise[keep]
     without_robot = len(p_W)
     if without_robot > 0:
         neighborhood = neighbors(p_W, config.normal_neighbors)
         label = clusters(neighborhood, config.max_gap)
         normal = surface_normals(p_W, neighborhood, config.max_gap, view.X_WC[:3, 3])
         keep = np.bincount(label)[label] >= config.min_cluster_points
-        keep &= _top(p_W[:, 2], label) > floor + config.min_rise
+        rise = p_W[:, 2] - workspace.table_height - _margin(noise, workspace, config)
+        keep &= np.bincount(label, rise > np.maximum(config.min_rise, noise))[label] > 0
         p_W, rgb, normal = p_W[keep], rgb[keep], normal[keep]
     if len(p_W) == 0:
         raise NoGrasp(
-            f"no object in view: {in_workspace} of {np.count_nonzero(view.depth > 0)} pixels with "
+            f"no object in view: {len(pixel)} of {np.count_nonzero(view.depth > 0)} pixels with "
             f"depth lie in the workspace above the table; thinned and without the robot they are "
             f"{without_robot} points, none of them in a cluster of at least "
             f"{config.min_cluster_points} that rises {config.min_rise} m above the table's "
@@ -139,17 +147,70 @@ def scene_cloud(
     return _point_cloud(p_W, rgb, normal)
 
 
-def _crop(
-    view: View, lower: list[float], upper: list[float], max_slope: float
-) -> tuple[Array, Array]:
-    """The pixels that show a surface inside the box: points (N, 3) in W, colours (N, 3)."""
-    p_W = np.moveaxis(unproject(view), -1, 0)
-    keep = np.ones(view.depth.shape, dtype=bool)
-    for p, low, high in zip(p_W, lower, upper, strict=True):
-        keep &= (p > low) & (p < high)  # False for the holes, which are NaN
-    pixel = np.flatnonzero(keep)  # much faster than a mask of two dimensions
-    pixel = pixel[~_flying(view, pixel, max_slope)]
-    return p_W.reshape(3, -1)[:, pixel].T, view.rgb.reshape(-1, 3)[pixel].astype(np.float64)
+def _standing_out(
+    view: View, workspace: Workspace, config: CloudConfig
+) -> tuple[NDArray[np.int64], Array]:
+    """The pixels that show a surface in the workspace above the table, (N,), and how noisy the
+    table is at their depth, (N,) [m]."""
+    height = _height(view) - np.float32(workspace.table_height)
+    upper = workspace.upper[2] - workspace.table_height
+    least = _margin(np.zeros(1), workspace, config)
+    pixel = np.flatnonzero((height > least) & (height < upper))  # not the holes, NaN
+    noise = np.interp(view.depth.ravel()[pixel], *_table_noise(view.depth, height))
+    above = height.ravel()[pixel] > _margin(noise, workspace, config)
+    pixel, noise = pixel[above], noise[above]
+    p_W = unproject_pixels(view, pixel)[:, :2]
+    keep = np.all((p_W > workspace.lower[:2]) & (p_W < workspace.upper[:2]), axis=1)
+    keep &= ~_flying(view, pixel, config.max_slope)
+    return pixel[keep], noise[keep]
+
+
+def _margin(noise: Array, workspace: Workspace, config: CloudConfig) -> Array:
+    """Up to which height above the table [m] a point may be one of the table's."""
+    clearance = max(config.table_clearance, workspace.lower[2] - workspace.table_height)
+    return np.maximum(clearance, config.noise_margin * noise)
+
+
+def _height(view: View) -> NDArray[np.float32]:
+    """z in W of what every pixel shows, (H, W) [m]; NaN in holes."""
+    camera = view.intrinsics
+    x = (np.arange(camera.width) - camera.cx) / camera.fx
+    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    R = view.X_WC[2, :3]
+    along, down = (R[0] * x).astype(np.float32), (R[1] * y + R[2]).astype(np.float32)
+    height: Image = along + down[:, None]
+    height *= view.depth
+    height += np.float32(view.X_WC[2, 3])
+    height[view.depth <= 0] = np.nan
+    return height
+
+
+def _table_noise(depth: Image, height: Image) -> tuple[Array, Array]:
+    """How noisy the table's own points are, by their depth: (K,) [m] and (K,) [m], the standard
+    deviation of their height. 0 where hardly any table is seen."""
+    depth, height = depth[::4, ::4], height[::4, ::4]
+    near = np.abs(height) < _NEAR_TABLE
+    order = np.argsort(depth[near])
+    if len(order) < _BINS * _MIN_TABLE:
+        return np.zeros(1), np.zeros(1)
+    parts = [(depth[near][i], height[near][i]) for i in np.array_split(order, _BINS)]
+    spread = [1.4826 * np.median(np.abs(h - np.median(h))) for _, h in parts]
+    return np.array([np.median(d) for d, _ in parts]), np.array(spread)
+
+
+def _thinned(
+    view: View, pixel: NDArray[np.int64], noise: Array, config: CloudConfig
+) -> tuple[Array, Array, Array]:
+    """Means of points, colours and noise over each cube that enough of the pixels fall in."""
+    p_W = unproject_pixels(view, pixel)
+    number = voxel_numbers(p_W, config.voxel)
+    mean = group_means(number, np.column_stack([p_W, view.rgb.reshape(-1, 3)[pixel], noise]))
+    p_W, rgb, noise = mean[:, :3], mean[:, 3:6], mean[:, 6]
+    # Pixels on a surface of a cube's size that is seen squarely.
+    distance = np.linalg.norm(p_W - view.X_WC[:3, 3], axis=1)
+    full = (config.voxel * view.intrinsics.fx / distance) ** 2
+    keep = (np.bincount(number) >= config.min_fill * full) | (noise < _EXACT)
+    return p_W[keep], rgb[keep], noise[keep]
 
 
 def _flying(view: View, pixel: NDArray[np.int64], max_slope: float) -> NDArray[np.bool_]:
@@ -177,13 +238,6 @@ def _inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
     # |p − c|² = |p|² − 2 p·c + |c|², as a product of matrices
     squared = np.sum(p_W**2, axis=1)[:, None] - 2 * p_W @ center.T + np.sum(center**2, axis=1)
     return np.asarray(np.any(squared < (radius + padding) ** 2, axis=1))
-
-
-def _top(z: Array, label: NDArray[np.int64]) -> Array:
-    """The largest z of the cluster of each point, (N,)."""
-    top = np.full(label.max() + 1, -np.inf)
-    np.maximum.at(top, label, z)
-    return top[label]
 
 
 def _point_cloud(p_W: Array, rgb: Array, normal: Array) -> PointCloud:

@@ -5,6 +5,7 @@ and a camera that looks straight ahead has cx = w/2 − 0.5.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tog_drake.values import Array, Intrinsics, View
 
@@ -25,6 +26,16 @@ def unproject(view: View) -> Array:
         p_W[i] *= depth
         p_W[i] += p
     return np.moveaxis(p_W, 0, -1)
+
+
+def unproject_pixels(view: View, pixel: NDArray[np.int64]) -> Array:
+    """Returns the points in W that the pixels v · width + u show, none a hole: (N, 3) [m]."""
+    camera = view.intrinsics
+    v, u = np.divmod(pixel, camera.width)
+    depth = view.depth.ravel()[pixel].astype(np.float64)
+    p_C = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
+    p_C *= depth
+    return np.asarray((view.X_WC[:3, :3] @ p_C).T + view.X_WC[:3, 3])
 
 
 def project(p_W: Array, intrinsics: Intrinsics, X_WC: Array) -> Array:
