@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.geometry import Box, Capsule, Cylinder, Role, Shape, Sphere, VolumeMesh
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    Role,
+    Shape,
+    Sphere,
+    TriangleSurfaceMesh,
+    VolumeMesh,
+)
 from pydrake.multibody.parsing import (
     LoadModelDirectives,
     ModelDirective,
@@ -175,14 +184,19 @@ def test_every_link_has_inertia_that_a_body_can_have(model: PlanningModel) -> No
         assert inertia.get_mass() > 0.05
 
 
-def test_every_surface_that_touches_objects_is_compliant_hydroelastic(
+def test_every_surface_that_touches_objects_is_hydroelastic_the_fingers_rigid(
     model: PlanningModel,
 ) -> None:
+    """Objects are compliant. Rigid against rigid would silently fall back to point contact."""
     inspector = model.diagram.scene_graph().model_inspector()
     for body in ("panda_hand", "panda_leftfinger", "panda_rightfinger", "table"):
         for geometry in model.plant.GetCollisionGeometriesForBody(model.plant.GetBodyByName(body)):
             # Drake meshes the volume of compliant shapes, and the surface alone of rigid ones.
-            assert isinstance(inspector.maybe_get_hydroelastic_mesh(geometry), VolumeMesh)
+            mesh = inspector.maybe_get_hydroelastic_mesh(geometry)
+            if body in panda.FINGER_BODIES:
+                assert isinstance(mesh, TriangleSurfaceMesh)
+                continue
+            assert isinstance(mesh, VolumeMesh)
             properties = inspector.GetProximityProperties(geometry)
             assert properties.GetProperty("hydroelastic", "hydroelastic_modulus") >= 1e7
 

@@ -71,10 +71,10 @@ def test_the_arm_follows_a_fast_command_to_a_few_milliradians():
     command = station.GetInputPort("panda.position").FixValue(context, start)
     simulator.Initialize()
     worst, swing = 0.0, np.array([0.5, 0.2, 0.0, 0.2, 0.0, 0.0, 0.5])
-    for t in np.arange(0.0, 1.0, 0.002):
+    for t in np.arange(0.0, 1.0, 0.005):
         q = start + swing * (1 - np.cos(np.pi * t)) / 2
         command.GetMutableData().get_mutable_value().SetFromVector(q)
-        simulator.AdvanceTo(t + 0.002)
+        simulator.AdvanceTo(t + 0.005)
         measured = station.GetOutputPort("panda.position_measured").Eval(context)
         worst = max(worst, np.abs(measured - q).max())
     assert worst < 0.01

@@ -76,7 +76,7 @@ class Scenario:
     """RGB-D cameras by name."""
     plant_config: MultibodyPlantConfig = field(
         default_factory=lambda: MultibodyPlantConfig(
-            time_step=0.002,
+            time_step=0.005,
             contact_model="hydroelastic_with_fallback",
             discrete_contact_approximation="lagged",
         )
