@@ -14,7 +14,7 @@ from tog_drake.panda import MAX_OPENING
 from tog_drake.planning_model import PlanningModel
 from tog_drake.scenario import LOOK_POSTURE
 from tog_drake.selector import choose
-from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, View
+from tog_drake.values import Array, Candidates, Choice, Grasps, View
 
 _SPACING = 0.006  # [m] between the points of a surface
 # Sizes [m] of what stands around, and how high its lower side is: least, most.
@@ -43,24 +43,25 @@ def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[Plannin
     while True:
         boxes, grasps = _scene(rng)
         cloud = _cloud(boxes)
+        obstacles = Obstacles(planning_model, DistanceField(cloud.xyzs().T), MAX_OPENING)
         q_now = np.array(LOOK_POSTURE) + rng.uniform(-0.3, 0.3, 7)
+        if not _is_free(obstacles, q_now):
+            continue
         try:
             feasible = feasible_grasps(grasps, cloud, q_now, planning_model, FeasibilityConfig())
         except NoFeasibleGrasp:
             continue
-        obstacles = Obstacles(planning_model, DistanceField(cloud.xyzs().T), MAX_OPENING)
         zeros = np.zeros(len(feasible), np.int64)
         candidates = Candidates(feasible, zeros[:1], zeros)
         for row in rng.permutation(len(feasible))[:2]:
-            if _free(obstacles, q_now, feasible, row):
+            if _is_free(obstacles, feasible.q_pregrasp[row]):
                 choice = choose(int(row), View.empty(), candidates, "drawn at random")
                 yield PlanningTask(q_now, boxes, cloud, candidates, choice)
 
 
-def _free(obstacles: Obstacles, q_now: Array, grasps: FeasibleGrasps, row: int) -> bool:
+def _is_free(obstacles: Obstacles, q: Array) -> bool:
     try:
-        for q in (q_now, grasps.q_pregrasp[row]):
-            obstacles.require_free(q, "it", "")
+        obstacles.require_free(q, "it", "")
     except NoPlan:
         return False
     return True
