@@ -5,18 +5,26 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial
 
-from tog_drake.errors import NoPlan
+from tog_drake.errors import InputError, NoPlan
 from tog_drake.executor import ExecutorConfig, GraspExecutor, Phase
-from tog_drake.values import GraspMotion
+from tog_drake.values import GraspMotion, Grasps
 
 Q_NOW = np.linspace(-0.3, 0.3, 7)
 Q_END = Q_NOW + 0.1
+GRASP = Grasps(np.eye(4)[None], np.array([0.03]), np.ones(1), np.zeros((1, 3)))
+HELD, EMPTY = 0.02, 0.0005  # [m] opening of a hand that presses
 
 
 def _motion(duration=0.5):
     line = PiecewisePolynomial.FirstOrderHold([0.0, duration], np.column_stack([Q_NOW, Q_END]))
     hand = PiecewisePolynomial.FirstOrderHold([0.0, duration], [[0.08, -0.02]])
-    return GraspMotion(line, hand, duration, {"lift": 0.2})
+    retreat = GraspMotion(
+        PiecewisePolynomial.FirstOrderHold([0.0, 0.3], np.column_stack([Q_END, Q_NOW])),
+        PiecewisePolynomial.FirstOrderHold([0.0, 0.3], [[-0.02, 0.08]]),
+        0.3,
+        {},
+    )
+    return GraspMotion(line, hand, duration, {"lift": 0.2}, grasp=GRASP, retreat=retreat)
 
 
 class _Planner(LeafSystem):
@@ -43,18 +51,25 @@ class _Arm(LeafSystem):
         self.offset = np.zeros(7)
         self.DeclareVectorOutputPort("q", 7, self._Calc)
         self.position = Q_NOW.copy()
+        self.opening = HELD
+        self.DeclareVectorOutputPort("hand", 2, self._CalcHand)
 
     def _Calc(self, context, output):
         output.SetFromVector(self.position + self.offset)
 
+    def _CalcHand(self, context, output):
+        output.SetFromVector([self.opening, 0.0])
 
-def _world(config=None, error=None):
+
+def _world(config=None, error=None, retries=0):
     builder = DiagramBuilder()
     planner = builder.AddSystem(_Planner(error))
     arm = builder.AddSystem(_Arm())
-    executor = builder.AddSystem(GraspExecutor(config or ExecutorConfig(look_time=0.1)))
+    config = config or ExecutorConfig(look_time=0.1)
+    executor = builder.AddSystem(GraspExecutor(config, retries=retries))
     builder.Connect(planner.get_output_port(), executor.GetInputPort("motion"))
-    builder.Connect(arm.get_output_port(), executor.GetInputPort("panda.position_measured"))
+    builder.Connect(arm.GetOutputPort("q"), executor.GetInputPort("panda.position_measured"))
+    builder.Connect(arm.GetOutputPort("hand"), executor.GetInputPort("hand.state_measured"))
     diagram = builder.Build()
     simulator = Simulator(diagram)
     context = executor.GetMyContextFromRoot(simulator.get_context())
@@ -128,7 +143,7 @@ def test_an_error_of_a_stage_reaches_the_caller_unchanged():
 def test_nothing_feeds_through_from_the_motion_to_the_command():
     executor = GraspExecutor(ExecutorConfig())
     motion = executor.GetInputPort("motion").get_index()
-    for name in ("panda.position", "hand.position"):
+    for name in ("panda.position", "hand.position", "failed_grasps"):
         assert not executor.HasDirectFeedthrough(motion, executor.GetOutputPort(name).get_index())
 
 
@@ -159,3 +174,59 @@ def test_the_look_is_at_the_time_of_an_update(look_time, update):
     simulator.AdvanceTo(executor.look_time + 0.005)
     assert executor.state(context).phase is Phase.READY
     assert planner.calls == 1
+
+
+RELAXED = ExecutorConfig(look_time=0.1, max_tracking_error=10)
+
+
+def _failed(executor, context):
+    return executor.GetOutputPort("failed_grasps").Eval(context)
+
+
+def test_a_hand_that_closed_on_nothing_goes_back_looks_again_and_tries_again():
+    simulator, executor, context, planner, arm = _world(RELAXED, retries=1)
+    arm.opening = EMPTY
+    simulator.AdvanceTo(0.605)  # look at 0.1, move from 0.11 to 0.61
+    assert executor.state(context).phase is Phase.MOVE
+    assert len(_failed(executor, context)) == 0
+    simulator.AdvanceTo(0.765)  # half way back
+    assert executor.state(context).phase is Phase.RETREAT
+    position, hand = _commands(executor, context)
+    np.testing.assert_allclose(position, Q_NOW + 0.1 * (0.3 - 0.155) / 0.3, atol=1e-9)
+    assert hand == pytest.approx(-0.02 + 0.1 * 0.155 / 0.3)
+    np.testing.assert_array_equal(_failed(executor, context).X_WG, GRASP.X_WG)
+    simulator.AdvanceTo(0.95)
+    state = executor.state(context)
+    assert (state.phase, state.attempt) == (Phase.OBSERVE, 2)
+    assert state.look_at == pytest.approx(1.01)
+    assert state.opening_after == EMPTY
+    np.testing.assert_allclose(_commands(executor, context)[0], Q_NOW, atol=1e-12)
+    assert planner.calls == 1
+    arm.opening = HELD
+    simulator.AdvanceTo(1.7)
+    state = executor.state(context)
+    assert (state.phase, state.attempt, state.opening_after) == (Phase.DONE, 2, HELD)
+    assert planner.calls == 2
+
+
+@pytest.mark.parametrize(("retries", "opening"), [(0, EMPTY), (1, HELD), (1, np.nan)])
+def test_without_a_reason_or_leave_to_try_again_the_motion_is_the_last(retries, opening):
+    simulator, executor, context, planner, arm = _world(RELAXED, retries=retries)
+    arm.opening = opening
+    simulator.AdvanceTo(2.0)
+    assert executor.state(context).phase is Phase.DONE
+    assert planner.calls == 1
+    assert len(_failed(executor, context)) == 0
+
+
+def test_it_tries_again_no_more_often_than_it_may():
+    simulator, executor, context, planner, arm = _world(RELAXED, retries=2)
+    arm.opening = EMPTY
+    simulator.AdvanceTo(5.0)
+    assert (executor.state(context).phase, planner.calls) == (Phase.DONE, 3)
+    assert len(_failed(executor, context)) == 2
+
+
+def test_a_negative_number_of_retries_is_refused():
+    with pytest.raises(InputError, match="retries is -1; valid: 0 or more"):
+        GraspExecutor(ExecutorConfig(), retries=-1)

@@ -75,6 +75,19 @@ def only_reason(grasps, cloud=None, config=CONFIG):
     return reasons[0]
 
 
+def test_a_grasp_like_one_that_failed_is_rejected_also_when_turned_by_half_a_turn():
+    tried = make_grasps(pose([0.5, 0.0, 0.02]))
+    again = make_grasps(
+        pose([0.5, 0.0, 0.02]),
+        pose([0.5, 0.02, 0.02], closing=(0, -1, 0.0)),
+        pose([0.5, 0.0, 0.02], closing=(1, 0, 0.0)),
+        pose([0.55, 0.0, 0.02]),
+    )
+    result = feasible_grasps(again, make_cloud(), Q_NOW, planning_model(), CONFIG, failed=tried)
+    assert result.rejected["failed_before"] == 2
+    np.testing.assert_allclose(result.score, again.score[2:])
+
+
 def random_grasps(count, seed):
     """Tilted up to 60°, above the table, some too low and some too far."""
     rng = np.random.default_rng(seed)
@@ -295,6 +308,7 @@ def test_the_system_outputs_the_feasible_grasps_and_computes_them_once():
     system.GetInputPort("grasps").FixValue(context, Value(grasps))
     system.GetInputPort("cloud").FixValue(context, Value(cloud))
     system.GetInputPort("panda.position_measured").FixValue(context, Q_NOW)
+    system.GetInputPort("failed_grasps").FixValue(context, Value(Grasps.empty()))
     port = system.GetOutputPort("feasible_grasps")
     assert isinstance(port.Allocate().get_value(), FeasibleGrasps)
     result = port.Eval(context)
@@ -309,5 +323,6 @@ def test_the_system_measures_the_table_by_the_workspace():
     system.GetInputPort("grasps").FixValue(context, Value(make_grasps(pose([0.5, 0.0, 0.05]))))
     system.GetInputPort("cloud").FixValue(context, Value(make_cloud()))
     system.GetInputPort("panda.position_measured").FixValue(context, Q_NOW)
+    system.GetInputPort("failed_grasps").FixValue(context, Value(Grasps.empty()))
     with pytest.raises(NoFeasibleGrasp, match="into the table"):
         system.GetOutputPort("feasible_grasps").Eval(context)

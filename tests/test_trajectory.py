@@ -344,9 +344,9 @@ def test_the_configuration_can_be_written_in_yaml():
 def test_the_system_plans_once_per_change_of_an_input(monkeypatch):
     calls = []
 
-    def counted(*args):
+    def counted(*args, **kwargs):
         calls.append(args)
-        return plan_motion(*args)
+        return plan_motion(*args, **kwargs)
 
     monkeypatch.setattr(trajectory, "plan_motion", counted)
     system = TrajectoryOptimizer(CONFIG, planning_model(), seed=3)
@@ -383,3 +383,31 @@ def test_no_path_widens_the_limits_of_the_robot():
     limits = _limits(TrajectoryConfig(), q_now, outside)
     np.testing.assert_array_equal(limits.lower, Q_LOWER)
     np.testing.assert_array_equal(limits.upper, Q_UPPER)
+
+
+def test_the_way_back_opens_the_hand_and_ends_where_the_motion_began():
+    motion = plan_motion(
+        choice(), candidates(), Q_SIDE, OVER_A_WALL, planning_model(), CONFIG, 0, with_retreat=True
+    )
+    back = motion.retreat
+    np.testing.assert_allclose(back.arm.value(0), motion.arm.value(motion.duration), atol=1e-9)
+    np.testing.assert_allclose(back.arm.value(back.duration).ravel(), Q_SIDE, atol=1e-9)
+    q = configurations(back, 0, back.duration)
+    assert distance_to(OVER_A_WALL, q).min() > 0
+    assert planning_model().check_configs(q, MAX_OPENING).all()
+    for t in (0.0, back.phase_times["back"], back.duration):
+        assert np.abs(back.arm.EvalDerivative(t)).max() < 1e-9
+    opening = back.hand.vector_values([0.0, back.phase_times["back"], back.duration]).ravel()
+    np.testing.assert_allclose(opening, [CONFIG.closed, MAX_OPENING, MAX_OPENING])
+    assert motion_over_the_wall().retreat is None
+
+
+def test_a_motion_without_a_way_back_is_carried_out_all_the_same():
+    # Above the hand's wide side before the grasp, in it after the lift.
+    over_the_hand = make_cloud(TARGET, block([0.49, 0.285, 0.275], [0.51, 0.295, 0.295]))
+    motion = plan_motion(
+        choice(), candidates(), Q_LOOK, over_the_hand, planning_model(), CONFIG, 0,
+        with_retreat=True,
+    )  # fmt: skip
+    assert motion.retreat is None
+    assert "no way back: the posture after the lift is not free" in motion.note

@@ -10,12 +10,12 @@ from pydrake.math import RigidTransform
 from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.trajectories import PiecewisePolynomial
 
+from tog_drake import visualization
 from tog_drake.panda import GRASP_Z
 from tog_drake.values import Candidates, Choice, GraspMotion, Grasps
 from tog_drake.visualization import (
     MAX_POINTS,
     _bars,
-    carried_out,
     draw_decision,
     grasp_path,
     make_meshcat,
@@ -47,8 +47,7 @@ def make_decision():
 def make_motion(q0=(0.0,) * 7, q1=(0.0,) * 7):
     arm = PiecewisePolynomial.FirstOrderHold([0.0, 2.0], np.array([q0, q1]).T)
     hand = PiecewisePolynomial(np.array([[0.08]]))
-    phases = {"approach": 0.5, "close": 1.0, "lift": 1.5}
-    return GraspMotion(arm, hand, 2.0, phases, grasp_index=2)
+    return GraspMotion(arm, hand, 2.0, {"approach": 0.5, "close": 1.0, "lift": 1.5})
 
 
 def messages(page):
@@ -89,12 +88,14 @@ def test_all_parts_of_a_decision_are_drawn(meshcat):
     assert not meshcat.HasPath("/decision/seen/candidates/02_blue")
 
 
-def test_the_grasp_that_the_motion_carries_out_is_drawn_in_place_of_the_choice():
+def test_the_grasp_that_the_motion_carries_out_is_drawn_in_place_of_the_choice(monkeypatch):
     candidates, choice = make_decision()
-    assert carried_out(choice, candidates, make_motion()) is choice.grasp
-    assert carried_out(choice, candidates, None) is choice.grasp
-    alternative = carried_out(choice, candidates, replace(make_motion(), grasp_index=1))
-    np.testing.assert_array_equal(alternative.X_WG[0], candidates.grasps.X_WG[1])
+    drawn = []
+    monkeypatch.setattr(visualization, "_draw_grasp", lambda *args: drawn.append(args[2]))
+    alternative = candidates.grasps.take(np.array([1]))
+    for motion in (None, make_motion(), replace(make_motion(), grasp=alternative)):
+        draw_decision(make_meshcat(), choice=choice, motion=motion)
+    assert drawn == [choice.grasp, choice.grasp, alternative]
 
 
 def test_what_a_failed_stage_left_out_is_not_drawn_nor_left_over(meshcat):

@@ -10,11 +10,11 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from tog_drake.camera import rendered_intrinsics
 from tog_drake.compliance import ObjectParts, PartLabels, load_parts
 from tog_drake.errors import InputError, NoFeasibleGrasp
-from tog_drake.executor import Phase
-from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge
+from tog_drake.executor import ExecutorState, Phase
+from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
-from tog_drake.record import EpisodeRecord, new_record
+from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Grasps
@@ -126,24 +126,44 @@ def run_episode(
         meshcat.StartRecording()
     simulator.Initialize()
     simulator.AdvanceTo(world.pipeline.executor.look_time)
-    decision = decide(world.pipeline, context)
-    if meshcat is not None:
-        _draw(meshcat, decision, world)
+    judge = Judge(world.station, world.labels, world.target)
+    attempts: list[AttemptRecord] = []
+    state, wall = None, 0.0
+    while state is None or state.phase is Phase.OBSERVE:
+        decision = decide(world.pipeline, context)
+        looked, feasible_by_part = context.get_time(), _feasible_by_part(world, context, decision)
+        attempts.append(attempt_record(decision))
+        if meshcat is not None:
+            _draw(meshcat, decision, world)
+        if decision.error is not None:
+            break
+        started = time.perf_counter()
+        state = _execute(simulator, world, judge)
+        wall += time.perf_counter() - started
+        attempts[-1]["opening"] = state.opening_after
     record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
     record["scenario"] = name
     record["object"] = world.target
+    record["attempts"] = attempts
+    record["feasible_by_part"] = feasible_by_part
     allowed = world.labels.objects[world.target].allowed(task)
     record["allowed"] = None if allowed is None else sorted(allowed)
-    record["feasible_by_part"] = _feasible_by_part(world, context, decision)
-    if decision.error is None:
-        _execute(simulator, world, task, record)
+    if state is not None:
+        record["seconds"]["execute"] = wall
+        executed = context.get_time() - world.pipeline.executor.look_time
+        record["sim"]["real_time_rate"] = executed / wall
+        record["collisions"] = judge.collisions()
+    if state is not None and decision.error is None:
+        _enter_verdict(record, judge.verdict(state, task))
     else:
         record["grasp_success"] = record["strict_success"] = False
         record["task_compliance"] = None if allowed is None else False
+        if len(attempts) > 1:
+            record["message"] = f"attempt {len(attempts)}: {record['message']}"
     if record["task_compliance"] is not None:
         record["combined_success"] = record["grasp_success"] and record["task_compliance"]
     record["sim"]["seconds"] = context.get_time()
-    replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context())
+    replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
     return Episode(record, decision, replay)
 
 
@@ -157,23 +177,26 @@ def _check_success_is_possible(scenario: Scenario) -> None:
         )
 
 
-def _execute(simulator: Simulator, world: World, task: str, record: EpisodeRecord) -> None:
-    """Lets the executor move, the judge watching, and enters how it went."""
+def _execute(simulator: Simulator, world: World, judge: Judge) -> ExecutorState:
+    """Lets the executor move until it has ended or looks again; the judge watches."""
     context = simulator.get_context()
-    judge = Judge(world.station, world.labels, world.target)
     station_context = world.station.GetMyContextFromRoot(context)
     executor = world.pipeline.executor
-    started, simulated = time.perf_counter(), context.get_time()
+    attempt: int | None = None
+    judge.start_over()
     while True:
         state = executor.state(executor.GetMyContextFromRoot(context))
         judge.observe(station_context, state)
-        if state.phase in (Phase.DONE, Phase.FAILED):
-            break
-        simulator.AdvanceTo(context.get_time() + _SAMPLE)
-    wall = time.perf_counter() - started
-    record["seconds"]["execute"] = wall
-    record["sim"]["real_time_rate"] = (context.get_time() - simulated) / wall
-    verdict = judge.verdict(state, task)
+        attempt = attempt or state.attempt
+        then = context.get_time() + _SAMPLE
+        if state.attempt > attempt:  # it is back, and stands still until it looks
+            then = min(then, state.look_at)
+        if state.phase in (Phase.DONE, Phase.FAILED) or then <= context.get_time():
+            return state
+        simulator.AdvanceTo(then)
+
+
+def _enter_verdict(record: EpisodeRecord, verdict: Verdict) -> None:
     record["outcome"] = verdict.outcome
     record["message"] = verdict.message
     record["held"] = verdict.held
@@ -214,15 +237,15 @@ def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:
     )
 
 
-def _replay(meshcat: Meshcat, world: World, context: Context) -> str:
+def _replay(meshcat: Meshcat, world: World, context: Context, looked: float) -> str:
     # Every track of the recording must end at the same time for the replay to repeat evenly.
     world.diagram.ForcedPublish(context)
     executor = world.pipeline.executor
     state = executor.state(executor.GetMyContextFromRoot(context))
-    closed = None if state.motion is None else state.start_time + state.motion.phase_times["close"]
-    return replay_html(
-        meshcat, duration=context.get_time(), decided=executor.look_time, closed=closed
-    )
+    closed = None
+    if state.motion is not None and state.start_time >= looked:
+        closed = state.start_time + state.motion.phase_times["close"]
+    return replay_html(meshcat, duration=context.get_time(), decided=looked, closed=closed)
 
 
 def _find_target(objects: dict[str, ObjectParts], wanted: str | None) -> str:

@@ -1,7 +1,7 @@
-"""The one stage with state: it looks once, stands still while it thinks, then moves."""
+"""The one stage with state: it looks, stands still while it thinks, moves, and may try again."""
 
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 
 import numpy as np
@@ -10,7 +10,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import MAX_OPENING
-from tog_drake.values import Array, GraspMotion
+from tog_drake.values import Array, GraspMotion, Grasps
 
 
 @dataclass
@@ -20,6 +20,7 @@ class ExecutorConfig:
     look_time: float = 1.0  # [s] pull the chain at the first update from then on
     period: float = 0.01  # [s] of the executor's update
     max_tracking_error: float = 0.15  # [rad] measured against commanded; beyond it, stop
+    empty_opening: float = 0.002  # [m] closed further than this after the hold, it holds nothing
 
 
 class Phase(Enum):
@@ -28,8 +29,12 @@ class Phase(Enum):
     OBSERVE = "observe"  # standing still, before the look
     READY = "ready"  # the motion is there; the next update stamps its start
     MOVE = "move"  # playing the motion
+    RETREAT = "retreat"  # it held nothing: back to where the motion began, to look again
     DONE = "done"  # holding its end
     FAILED = "failed"  # holding where the arm was stopped
+
+
+_PLAYING = (Phase.MOVE, Phase.RETREAT)
 
 
 @dataclass(frozen=True)
@@ -39,12 +44,15 @@ class ExecutorState:
     phase: Phase = Phase.OBSERVE
     q_hold: Array | None = None  # (7,) [rad] posture held outside MOVE; None before first update
     opening_hold: float = MAX_OPENING  # [m]
-    motion: GraspMotion | None = None
+    motion: GraspMotion | None = None  # of the last look
     start_time: float = 0.0  # [s] of the motion, in the time of the Context
+    look_at: float = 0.0  # [s] of the next look in OBSERVE, of the last one afterwards
+    attempt: int = 1
+    opening_after: float | None = None  # [m] measured at the end of the last motion
 
 
 class GraspExecutor(LeafSystem):
-    """Plays the motion that the pipeline computes from one look.
+    """Plays the motion that the pipeline computes from a look; looks again where it held nothing.
 
     .. pydrake_system::
 
@@ -52,9 +60,11 @@ class GraspExecutor(LeafSystem):
         input_ports:
         - motion
         - panda.position_measured
+        - hand.state_measured
         output_ports:
         - panda.position
         - hand.position
+        - failed_grasps
 
     Before the first update the measured position passes straight through, so that the first
     command never moves the arm. At ``look_time`` the update evaluates ``motion`` **once**, which
@@ -63,12 +73,17 @@ class GraspExecutor(LeafSystem):
     *next* update (READY), never by the one that planned. An error raised by a stage reaches the
     caller of ``AdvanceTo`` unchanged.
 
+    That a grasp failed is told by the hand alone: after the hold its fingers have closed on almost
+    nothing. Then, ``retries`` times at most, the arm goes back to where the motion began, looks
+    again and plays what the pipeline now says. ``failed_grasps`` is what it has learned; it comes
+    from the state, so that the pipeline may read it without a loop.
+
     Raises:
         NoPlan: in the update, if the motion does not start where the arm is: to command it would
             be a jump.
     """
 
-    def __init__(self, config: ExecutorConfig):
+    def __init__(self, config: ExecutorConfig, *, retries: int = 0):
         super().__init__()
         # At time 0 it would look while the simulator initializes, before anybody else can.
         if min(config.period, config.look_time, config.max_tracking_error) <= 0:
@@ -76,12 +91,16 @@ class GraspExecutor(LeafSystem):
                 f"executor: period ({config.period}), look_time ({config.look_time}) and "
                 f"max_tracking_error ({config.max_tracking_error}) must be above 0"
             )
+        if retries < 0:
+            raise InputError(f"retries is {retries}; valid: 0 or more")
         self._config = config
-        # Updates come at whole multiples of the period; in floating point, exactly at these.
-        self._look_time = float(np.ceil(config.look_time / config.period - 1e-9) * config.period)
+        self._retries = retries
+        self._look_time = self._on_grid(config.look_time)
         self._motion = self.DeclareAbstractInputPort("motion", Value(GraspMotion.still()))
         self._measured = self.DeclareVectorInputPort("panda.position_measured", 7)
-        self._state = self.DeclareAbstractState(Value(ExecutorState()))
+        self._hand = self.DeclareVectorInputPort("hand.state_measured", 2)
+        self._state = self.DeclareAbstractState(Value(ExecutorState(look_at=self._look_time)))
+        self._failed = self.DeclareAbstractState(Value(Grasps.empty()))
         state_ticket = self.abstract_state_ticket(self._state)
         self.DeclareVectorOutputPort(
             "panda.position",
@@ -95,11 +114,17 @@ class GraspExecutor(LeafSystem):
             self._CalcHand,
             prerequisites_of_calc={state_ticket, self.time_ticket()},
         )
+        self.DeclareAbstractOutputPort(
+            "failed_grasps",
+            alloc=lambda: Value(Grasps.empty()),
+            calc=self._CalcFailed,
+            prerequisites_of_calc={self.abstract_state_ticket(self._failed)},
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._Update)
 
     @property
     def look_time(self) -> float:
-        """When the chain is pulled [s]: the time of an update, to the last digit.
+        """When the chain is pulled first [s]: the time of an update, to the last digit.
 
         Who evaluates a stage at this very time sees the value that will be executed.
         """
@@ -116,26 +141,26 @@ class GraspExecutor(LeafSystem):
         if after is before:
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._state)).set_value(after)
+        if after.phase is Phase.RETREAT and before.phase is Phase.MOVE:
+            assert after.motion is not None
+            failed: Grasps = context.get_abstract_state(int(self._failed)).get_value()
+            state.get_mutable_abstract_state(int(self._failed)).set_value(
+                _appended(failed, after.motion.grasp)
+            )
         return EventStatus.Succeeded()
 
     def _next(self, s: ExecutorState, context: Context) -> ExecutorState:
         t = context.get_time()
         if s.q_hold is None:
             s = replace(s, q_hold=self._measured.Eval(context).copy())
-        if s.phase is Phase.OBSERVE and t >= self._look_time:
+        if s.phase is Phase.OBSERVE and t >= s.look_at:
             motion = deepcopy(self._motion.Eval(context))
             self._require_start(motion, self._measured.Eval(context))
-            return replace(
-                s,
-                phase=Phase.READY,
-                motion=motion,
-                q_hold=motion.arm.value(0.0).ravel(),
-                opening_hold=float(motion.hand.value(0.0).item()),
-            )
+            return replace(_holding(s, motion, 0.0), phase=Phase.READY, motion=motion)
         if s.phase is Phase.READY:
             return replace(s, phase=Phase.MOVE, start_time=t)
-        if s.phase is Phase.MOVE:
-            return self._watch(s, t, self._measured.Eval(context))
+        if s.phase in _PLAYING:
+            return self._watch(s, context)
         return s
 
     def _require_start(self, motion: GraspMotion, q_measured: Array) -> None:
@@ -146,33 +171,39 @@ class GraspExecutor(LeafSystem):
                 "plan from the measured posture"
             )
 
-    def _watch(self, s: ExecutorState, t: float, q_measured: Array) -> ExecutorState:
-        """Ends the motion at its end, or where the arm no longer follows it."""
-        assert s.motion is not None
-        elapsed = min(t - s.start_time, s.motion.duration)
-        commanded = s.motion.arm.value(elapsed).ravel()
+    def _watch(self, s: ExecutorState, context: Context) -> ExecutorState:
+        """Goes on at the end of what is played, or stops where the arm no longer follows it."""
+        t, q_measured = context.get_time(), self._measured.Eval(context)
+        played, elapsed = _played(s, t)
+        commanded = played.arm.value(elapsed).ravel()
         if not np.abs(commanded - q_measured).max() <= self._config.max_tracking_error:
             # Where a measurement is NaN, the command stays: NaN must never become one.
             q_hold = np.where(np.isfinite(q_measured), q_measured, commanded)
             # The hand keeps what it holds; opening it would drop the object.
-            opening = float(s.motion.hand.value(elapsed).item())
-            return replace(s, phase=Phase.FAILED, q_hold=q_hold, opening_hold=opening)
-        if t - s.start_time >= s.motion.duration:
-            end = s.motion.duration
-            return replace(
-                s,
-                phase=Phase.DONE,
-                q_hold=s.motion.arm.value(end).ravel(),
-                opening_hold=float(s.motion.hand.value(end).item()),
-            )
-        return s
+            return replace(_holding(s, played, elapsed), phase=Phase.FAILED, q_hold=q_hold)
+        if elapsed < played.duration:
+            return s
+        s = _holding(s, played, played.duration)
+        if s.phase is Phase.RETREAT:
+            look_at = self._on_grid(t + self._config.look_time)
+            return replace(s, phase=Phase.OBSERVE, attempt=s.attempt + 1, look_at=look_at)
+        opening = float(self._hand.Eval(context)[0])
+        empty = opening < self._config.empty_opening and played.retreat is not None
+        again = empty and s.attempt <= self._retries
+        return replace(s, phase=Phase.RETREAT if again else Phase.DONE, opening_after=opening)
+
+    def _on_grid(self, t: float) -> float:
+        """Returns the time of the first update at ``t`` [s] or later.
+
+        Updates come at whole multiples of the period; in floating point, exactly at these.
+        """
+        return float(np.ceil(t / self._config.period - 1e-9) * self._config.period)
 
     def _CalcArm(self, context: Context, output: BasicVector) -> None:
         s = self.state(context)
-        if s.phase is Phase.MOVE:
-            assert s.motion is not None
-            elapsed = min(context.get_time() - s.start_time, s.motion.duration)
-            output.SetFromVector(s.motion.arm.value(elapsed).ravel())
+        if s.phase in _PLAYING:
+            played, elapsed = _played(s, context.get_time())
+            output.SetFromVector(played.arm.value(elapsed).ravel())
         elif s.q_hold is not None:
             output.SetFromVector(s.q_hold)
         else:
@@ -181,8 +212,37 @@ class GraspExecutor(LeafSystem):
     def _CalcHand(self, context: Context, output: BasicVector) -> None:
         s = self.state(context)
         opening = s.opening_hold
-        if s.phase is Phase.MOVE:
-            assert s.motion is not None
-            elapsed = min(context.get_time() - s.start_time, s.motion.duration)
-            opening = float(s.motion.hand.value(elapsed).item())
+        if s.phase in _PLAYING:
+            played, elapsed = _played(s, context.get_time())
+            opening = float(played.hand.value(elapsed).item())
         output.SetAtIndex(0, opening)
+
+    def _CalcFailed(self, context: Context, output: Value) -> None:
+        output.set_value(context.get_abstract_state(int(self._failed)).get_value())
+
+
+def _played(s: ExecutorState, t: float) -> tuple[GraspMotion, float]:
+    """Returns what is played at ``t`` [s], and how far it has come [s]."""
+    played = s.motion
+    start = s.start_time
+    if s.phase is Phase.RETREAT:
+        assert played is not None
+        start += played.duration
+        played = played.retreat
+    assert played is not None
+    return played, min(t - start, played.duration)
+
+
+def _holding(s: ExecutorState, motion: GraspMotion, elapsed: float) -> ExecutorState:
+    """Returns the state that holds what ``motion`` commands at ``elapsed`` [s]."""
+    return replace(
+        s,
+        q_hold=motion.arm.value(elapsed).ravel(),
+        opening_hold=float(motion.hand.value(elapsed).item()),
+    )
+
+
+def _appended(grasps: Grasps, more: Grasps) -> Grasps:
+    """Returns plain grasps, those of ``more`` last."""
+    columns = (f.name for f in fields(Grasps))
+    return Grasps(*(np.concatenate([getattr(grasps, c), getattr(more, c)]) for c in columns))

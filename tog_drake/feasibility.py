@@ -15,7 +15,15 @@ from pydrake.systems.framework import Context, LeafSystem
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoFeasibleGrasp, NoGrasp
 from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
-from tog_drake.panda import FINGER_BODIES, MAX_OPENING, Q_LOWER, Q_UPPER, X_HG, arrival_opening
+from tog_drake.panda import (
+    FINGER_BODIES,
+    MAX_OPENING,
+    Q_LOWER,
+    Q_UPPER,
+    X_HG,
+    arrival_opening,
+    grasps_apart,
+)
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
 from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
@@ -24,6 +32,7 @@ Bools = NDArray[np.bool_]
 Fates = NDArray[np.int64]  # what became of each grasp: the number of a reason, or _FEASIBLE
 
 REASONS = {
+    "failed_before": "hardly differ from a grasp that failed before",
     "table_collision": "would push the hand into the table",
     "hand_collision": "would push the hand into something that the camera sees",
     "no_ik": "are out of the arm's reach",
@@ -34,7 +43,9 @@ REASONS = {
 }
 """What a grasp can fail on, in the order of the tests, and how to say it."""
 
-_TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(len(REASONS) + 1)
+_FAILED, _TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(
+    len(REASONS) + 1
+)
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
@@ -57,6 +68,8 @@ class FeasibilityConfig:
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
     table_clearance: float = 0.001  # [m] of the hand above the table
     cloud_clearance: float = 0.01  # [m] of the arm from the cloud
+    failed_distance: float = 0.03  # [m] nearer than this in place and ...
+    failed_turn: float = 0.5  # [rad] ... in turn to a grasp that failed: it would fail again
 
 
 def feasible_grasps(
@@ -67,6 +80,7 @@ def feasible_grasps(
     config: FeasibilityConfig,
     *,
     table_height: float = 0.0,
+    failed: Grasps | None = None,
 ) -> FeasibleGrasps:
     """Returns the grasps that can be carried out, in their order, with the paths that do it.
 
@@ -80,6 +94,7 @@ def feasible_grasps(
         planning_model: arm, hand and known world.
         config: the room demanded.
         table_height: [m] z of the table top in W.
+        failed: grasps that were tried and held nothing; what is like them is rejected.
 
     Raises:
         NoGrasp: there are no proposals.
@@ -94,7 +109,8 @@ def feasible_grasps(
     tolerance = config.hand_tolerance
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
-    fate = np.select([low, blocked], [_TABLE, _HAND], _NO_IK)
+    again = _like(grasps, Grasps.empty() if failed is None else failed, config)
+    fate = np.select([again, low, blocked], [_FAILED, _TABLE, _HAND], _NO_IK)
 
     rows = np.flatnonzero(fate == _NO_IK)
     world = _World(planning_model, DistanceField(points), config)
@@ -114,6 +130,13 @@ def feasible_grasps(
         q_lift=q_lift[good],
         rejected=rejected,
     )
+
+
+def _like(grasps: Grasps, failed: Grasps, config: FeasibilityConfig) -> Bools:
+    """Tells which grasps (N,) are hardly different from one that failed."""
+    place, turn = grasps_apart(grasps.X_WG[:, None], failed.X_WG)
+    near = (place < config.failed_distance) & (turn < config.failed_turn)
+    return np.asarray(near.any(axis=1))
 
 
 def _turned_like(X_WG: Array, X_WG_reached: Array) -> Array:
@@ -266,6 +289,7 @@ class FeasibilityFilter(LeafSystem):
         - grasps
         - cloud
         - panda.position_measured
+        - failed_grasps
         output_ports:
         - feasible_grasps
 
@@ -290,7 +314,8 @@ class FeasibilityFilter(LeafSystem):
         self._grasps = self.DeclareAbstractInputPort("grasps", Value(Grasps.empty()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
-        ports = (self._grasps, self._cloud, self._position)
+        self._failed = self.DeclareAbstractInputPort("failed_grasps", Value(Grasps.empty()))
+        ports = (self._grasps, self._cloud, self._position, self._failed)
         none = FeasibleGrasps(**vars(Grasps.empty()))
         self.DeclareAbstractOutputPort(
             "feasible_grasps",
@@ -308,5 +333,6 @@ class FeasibilityFilter(LeafSystem):
                 self._planning_model,
                 self._config,
                 table_height=self._table_height,
+                failed=self._failed.Eval(context),
             )
         )

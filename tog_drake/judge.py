@@ -1,7 +1,7 @@
 """Watches a simulated episode and says how it ended. Reads ground truth; nothing reads it back."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.geometry import GeometryId
@@ -109,6 +109,10 @@ class Judge:
             )
         )
 
+    def start_over(self) -> None:
+        """Takes all samples so far for a time before the motion: another one is to come."""
+        self.samples = [replace(sample, time=-1.0) for sample in self.samples]
+
     def _is_hit(self, a: GeometryId, b: GeometryId) -> bool:
         pair = {a, b}
         if pair <= self._pads:
@@ -128,6 +132,10 @@ class Judge:
             if names[1] != self._target:
                 touched[names] = touched.get(names, 0.0) + newtons
         return touched
+
+    def collisions(self) -> dict[str, float]:
+        """Returns what the robot has met so far that it should not; see ``Verdict``."""
+        return _collisions(self.samples)
 
     def verdict(self, state: ExecutorState, task: str) -> Verdict:
         """Returns how the episode ended, from all samples."""
@@ -182,9 +190,9 @@ def _outcome(
     if hit.hit > _COLLISION:
         return "collision", (
             f"the robot pressed {hit.hit:.0f} N against the table or itself "
-            f"at {hit.time:.2f} s of the motion"
+            + (f"at {hit.time:.2f} s of the motion" if hit.time >= 0 else "before the last motion")
         )
-    end, highest = samples[-1], max(s.lift for s in samples)
+    end, highest = samples[-1], max(s.lift for s in samples if s.time >= 0)
     if min(s.lift for s in samples if s.time >= end.time - HOLD) >= LIFT:
         return "lifted", None
     if end.lift >= LIFT:

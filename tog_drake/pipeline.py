@@ -70,6 +70,7 @@ class PipelineConfig:
     selector: SelectorConfig = field(default_factory=Geometric)
     trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
     executor: ExecutorConfig = field(default_factory=ExecutorConfig)
+    retries: int = 0  # looks again and tries another grasp, where the hand has closed on nothing
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class GraspPipeline(Diagram):
         - depth_image
         - X_WC
         - panda.position_measured
+        - hand.state_measured
         - task
         output_ports:
         - view
@@ -102,6 +104,7 @@ class GraspPipeline(Diagram):
         - motion
         - panda.position
         - hand.position
+        - failed_grasps
 
     Every stage's value is exported, to be inspected and timed. With ``!Oracle`` as selector there
     is one more input, ``cheat.query_object``, which only a simulation can feed.
@@ -118,7 +121,7 @@ class GraspPipeline(Diagram):
     ):
         super().__init__()
         _check_workspace(config.workspace)
-        self.executor = GraspExecutor(config.executor)
+        self.executor = GraspExecutor(config.executor, retries=config.retries)
         stages: dict[str, LeafSystem] = {
             "camera": Camera(intrinsics),
             "cloud": SceneCloud(
@@ -130,7 +133,9 @@ class GraspPipeline(Diagram):
             "feasibility": FeasibilityFilter(config.feasibility, config.workspace, planning_model),
             "candidates": CandidatePicker(config.candidates, seed=seed),
             "selector": _make_selector_system(config, seed, ground_truth),
-            "trajectory": TrajectoryOptimizer(config.trajectory, planning_model, seed=seed),
+            "trajectory": TrajectoryOptimizer(
+                config.trajectory, planning_model, seed=seed, with_retreat=config.retries > 0
+            ),
             "executor": self.executor,
         }
         builder = DiagramBuilder()

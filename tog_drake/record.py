@@ -29,6 +29,15 @@ class ChoiceRecord(TypedDict):
     width: float  # [m] between the contacts
 
 
+class AttemptRecord(TypedDict):
+    """One look and what came of it, as far as the robot itself can tell."""
+
+    choice: ChoiceRecord | None
+    motion: dict[str, Any] | None  # duration [s], phases [s], note
+    opening: float | None  # [m] between the pads after the hold; null: nothing was executed
+    message: str | None  # why it ended without a motion
+
+
 class EpisodeRecord(TypedDict):
     """One episode, or one choice on a saved view (then what needs a robot is null)."""
 
@@ -43,6 +52,8 @@ class EpisodeRecord(TypedDict):
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
     choice: ChoiceRecord | None
+    attempts: list[AttemptRecord]
+    """One, and one more for each retry; all other fields tell of the last look and its motion."""
     outcome: str  # see OUTCOMES
     message: str | None  # why it ended early
     grasp_success: bool | None  # lifted by 0.10 m and held for 2 s
@@ -111,6 +122,7 @@ def new_record(
         counts=counts,
         rejected=dict(rejected),
         choice=_choice_record(decision),
+        attempts=[attempt_record(decision)],
         outcome=error.outcome if error is not None else "chosen",
         message=str(error) if error is not None else None,
         grasp_success=None,
@@ -149,6 +161,16 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
         pixel=None if choice.pixel is None else [round(c, 2) for c in choice.pixel],
         score=float(choice.grasp.score[0]),
         width=float(choice.grasp.width[0]),
+    )
+
+
+def attempt_record(decision: Decision) -> AttemptRecord:
+    """Returns what a decision says of its attempt; what the hand felt is not known yet."""
+    return AttemptRecord(
+        choice=_choice_record(decision),
+        motion=_motion_record(decision),
+        opening=None,
+        message=None if decision.error is None else str(decision.error),
     )
 
 

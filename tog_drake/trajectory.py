@@ -12,7 +12,7 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.obstacles import Obstacles
-from tog_drake.panda import A_MAX, J_MAX, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
+from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
 from tog_drake.time_parameterization import (
@@ -59,6 +59,8 @@ def plan_motion(
     planning_model: PlanningModel,
     config: TrajectoryConfig,
     seed: int,
+    *,
+    with_retreat: bool = False,
 ) -> GraspMotion:
     """Returns a motion that carries out the choice, or its first alternative that has one.
 
@@ -76,6 +78,8 @@ def plan_motion(
         planning_model: what the robot knows.
         config: see ``TrajectoryConfig``.
         seed: decides everything that is random.
+        with_retreat: whether the way back is planned too, with its hand empty. Where there is
+            none the motion says so in its note: better no other try than no try.
 
     Raises:
         NoPlan: saying of each grasp which check failed, where and by how much.
@@ -103,8 +107,9 @@ def plan_motion(
         except NoPlan as error:
             failures.append(f"grasp {row}: {error}")
             continue
-        instead = ", in place of " if failures else ""
-        return replace(motion, grasp_index=row, note=motion.note + instead + "; ".join(failures))
+        note = motion.note + (", in place of " if failures else "") + "; ".join(failures)
+        motion = replace(motion, grasp_index=row, grasp=grasps.take(np.array([row])), note=note)
+        return _with_retreat(motion, obstacles, config, seed) if with_retreat else motion
     raise NoPlan("; ".join(failures))
 
 
@@ -120,7 +125,9 @@ def _plan_grasp(
     limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
     planning_model, opening = obstacles.planning_model, obstacles.opening
 
-    transfer, note = _transfer(q_now, q_approach[0], obstacles, limits, config, seed)
+    obstacles.require_free(q_approach[0], "the pregrasp posture", "choose another grasp")
+    way = "the way to the pregrasp"
+    transfer, note = _transfer(q_now, q_approach[0], way, obstacles, limits, config, seed)
     t = transfer.end_time()
     approach = _straight(q_approach, config.approach_speed, planning_model, limits, t)
     obstacles.check(approach, "the approach", config.check_step, with_hand=False)
@@ -144,6 +151,32 @@ def _plan_grasp(
         phase_times={"approach": t, "close": t_close, "lift": t_lift, "hold": t_hold},
         note=note,
     )
+
+
+def _with_retreat(
+    motion: GraspMotion, obstacles: Obstacles, config: TrajectoryConfig, seed: int
+) -> GraspMotion:
+    """Adds the way back: the hand opens where it is, and the arm goes to where it began.
+
+    The cloud is that of the look before the motion: where the grasp has moved things, the next look
+    will tell.
+    """
+    q_from, q_to = (motion.arm.value(t).ravel() for t in (motion.duration, 0.0))
+    limits = _limits(config, q_to, q_from[None])
+    obstacles = replace(obstacles, opening=MAX_OPENING)
+    try:
+        obstacles.require_free(q_from, "the posture after the lift", "choose another grasp")
+        way, note = _transfer(q_from, q_to, "the way back", obstacles, limits, config, seed)
+    except NoPlan as error:
+        return replace(motion, note=f"{motion.note}; no way back: {error}")
+    t = (MAX_OPENING - config.closed) / config.closing_speed
+    end = t + way.end_time()
+    arm = CompositeTrajectory.AlignAndConcatenate([_still(q_from, 0.0, t), way])
+    _check_limits(arm, q_from, limits)
+    hand = PiecewisePolynomial.FirstOrderHold(
+        [0.0, t, end], np.array([[config.closed, MAX_OPENING, MAX_OPENING]])
+    )
+    return replace(motion, retreat=GraspMotion(arm, hand, end, {"back": t}, note))
 
 
 def _require_plausible(q_now: Array) -> None:
@@ -191,16 +224,16 @@ def _still(q: Array, start: float, end: float) -> Trajectory:
 
 
 def _transfer(
-    q_now: Array,
-    q_pregrasp: Array,
+    q_from: Array,
+    q_to: Array,
+    what: str,
     obstacles: Obstacles,
     limits: JointLimits,
     config: TrajectoryConfig,
     seed: int,
 ) -> tuple[Trajectory, str]:
-    """Returns the way to the pregrasp, checked, and how it was found."""
-    obstacles.require_free(q_pregrasp, "the pregrasp posture", "choose another grasp")
-    ends = np.stack([q_now, q_pregrasp])
+    """Returns a way between two free postures, checked, and how it was found."""
+    ends = np.stack([q_from, q_to])
     # Where an end itself is nearer to something, no more than that can be asked of the way.
     clearance = min(config.clearance, float(obstacles.cloud_clearance(ends).min()) - _ROUNDING)
     hand_margin = obstacles.count_free(ends, clearance, hand_margin=True) == len(ends)
@@ -209,7 +242,7 @@ def _transfer(
         return obstacles.count_free(q, clearance, hand_margin=hand_margin)
 
     def check(way: Trajectory) -> None:
-        obstacles.check(way, "the way to the pregrasp", config.check_step, hand_margin=hand_margin)
+        obstacles.check(way, what, config.check_step, hand_margin=hand_margin)
 
     rng = np.random.default_rng(seed)
     step, path, failure = config.path_step, None, ""
@@ -221,7 +254,7 @@ def _transfer(
         # check, it is held ever closer to the path, which does.
         leeway = np.inf if attempt == 0 else 0.4 / 2**attempt  # [rad]
         try:
-            path = find_path(q_now, q_pregrasp, count_free, lower, upper, rng, step=step)
+            path = find_path(q_from, q_to, count_free, lower, upper, rng, step=step)
             path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
             spline = optimize_spline(
                 path,
@@ -293,8 +326,16 @@ class TrajectoryOptimizer(LeafSystem):
     ``motion`` is computed once per change of an input.
     """
 
-    def __init__(self, config: TrajectoryConfig, planning_model: PlanningModel, *, seed: int):
+    def __init__(
+        self,
+        config: TrajectoryConfig,
+        planning_model: PlanningModel,
+        *,
+        seed: int,
+        with_retreat: bool = False,
+    ):
         super().__init__()
+        self._with_retreat = with_retreat
         self._config = config
         self._planning_model = planning_model
         self._seed = seed
@@ -324,5 +365,6 @@ class TrajectoryOptimizer(LeafSystem):
                 self._planning_model,
                 self._config,
                 self._seed,
+                with_retreat=self._with_retreat,
             )
         )

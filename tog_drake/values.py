@@ -153,6 +153,9 @@ class GraspMotion:
     phase_times: dict[str, float]  # [s] when approach, close, lift and hold begin
     note: str = ""  # how it was found (optimised, or the fallback), and what failed before
     grasp_index: int = -1  # row of ``Candidates.grasps`` that it carries out
+    grasp: Grasps = field(default_factory=Grasps.empty)  # that row, N = 1
+    retreat: "GraspMotion | None" = None
+    """From its end back to its start, with the hand open: the way to another look."""
 
     @staticmethod
     def still() -> "GraspMotion":

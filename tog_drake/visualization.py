@@ -82,21 +82,12 @@ def draw_decision(
         _draw_candidates(meshcat, f"{DECISION}/seen/candidates", candidates)
     if choice is not None:
         color = choice_color(candidates, choice)
-        grasp = carried_out(choice, candidates, motion)
+        grasp = choice.grasp if motion is None or len(motion.grasp) == 0 else motion.grasp
         _draw_grasp(meshcat, f"{DECISION}/seen/choice", grasp, color)
     if motion is not None:
         points = grasp_path(motion, X_WL0)
         ends = np.stack([points[:-1], points[1:]], axis=1)
         _draw_bars(meshcat, f"{DECISION}/path", ends, PATH_RADIUS, PATH_COLOR)
-
-
-def carried_out(
-    choice: Choice, candidates: Candidates | None, motion: GraspMotion | None
-) -> Grasps:
-    """Returns the grasp (N = 1) of the motion: the chosen one, or an alternative to it."""
-    if motion is None or candidates is None or motion.grasp_index == choice.index:
-        return choice.grasp
-    return candidates.grasps.take(np.array([motion.grasp_index]))
 
 
 def grasp_path(motion: GraspMotion, X_WL0: Array | None = None, samples: int = 100) -> Array:
