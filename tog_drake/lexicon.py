@@ -14,7 +14,8 @@ import yaml
 
 from tog_drake.errors import InputError
 
-Kind = Literal["tool", "vessel", "bottle", "scissors", "drill", "animal"]
+Kind = Literal["tool", "vessel", "bottle", "drill", "animal"]
+End = Literal["wide", "thin", "flat"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Rule:
 
     kind: Kind
     working: str = "body"  # the part that does the work, and is held when handing it over
-    working_end: Literal["wide", "thin"] = "wide"  # of a tool
+    working_end: End = "wide"  # of a tool
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ def _rules(section: Any, parts: dict[str, str], where: str) -> dict[str, Rule]:
         for key, valid in (
             ("kind", get_args(Kind)),
             ("working", sorted(set(parts.values()))),
-            ("working_end", ("wide", "thin")),
+            ("working_end", get_args(End)),
         ):
             if key in rule and rule[key] not in valid:
                 raise InputError(f"{here}: {key} {rule[key]!r} is none of {', '.join(valid)}")

@@ -136,16 +136,18 @@ class _Held:
         return np.asarray(share, dtype=np.float64)
 
     def on(self, part: Mask, min_share: float) -> Mask:
-        """Whether (N,) the contact and at least ``min_share`` are on the part."""
-        return np.asarray(part[self._contact] & (self.share(part) >= min_share))
+        """Whether (N,) at least ``min_share`` of what each grasp holds is on the part."""
+        return np.asarray(self.share(part) >= min_share)
 
     def value(self, part: Mask, margin: float) -> Array:
         """The worth (N,) of each grasp: its confidence, more where it is well within the part."""
-        inside = np.ones(len(self._grasps))
+        inside, touches = np.ones(len(self._grasps)), np.ones(len(self._grasps))
         if part.any() and not part.all():
-            depth = cKDTree(self._thing[~part]).query(self._grasps.X_WG[:, :3, 3])[0]
-            inside = np.minimum(depth / margin, 1.0)
-        on_part = (0.1 + self.share(part) ** 2) * (0.6 + 0.4 * inside)
+            rest = cKDTree(self._thing[~part])
+            inside = np.minimum(rest.query(self._grasps.X_WG[:, :3, 3])[0] / margin, 1.0)
+            # A pad reaches half its width beyond the contact.
+            touches = np.minimum(rest.query(self._grasps.p_WContact)[0] / (PAD_WIDTH / 2), 1.0)
+        on_part = (0.1 + self.share(part) ** 2) * (0.6 + 0.4 * inside) * (0.4 + 0.6 * touches)
         return np.asarray(self._grasps.score**2 * on_part)
 
 

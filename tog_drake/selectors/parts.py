@@ -6,7 +6,7 @@ Each kind of thing has one idea of where its parts are:
 - vessel: a round body and what sticks out of it, the handle;
 - bottle: what is above its neck, the top, and its body;
 - drill: two bulky portions and the bridge between them, the handle;
-- animal: a thick middle, a low tapering end, the tail, and a high blunt end, the head.
+- animal: a head that is held high, a trunk before it, a thick middle on legs, a thin rear end.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,8 @@ from scipy import ndimage
 
 from tog_drake.lexicon import LEXICON, Kind, Rule
 from tog_drake.selectors.shapes import (
+    BIN,
+    MAX_SHOULDER,
     MIN_POINTS,
     PROTRUSION,
     Frame,
@@ -29,18 +31,22 @@ from tog_drake.selectors.shapes import (
     protrusion,
     round_body,
     silhouette,
+    slope,
 )
 from tog_drake.values import Array
 
 MIN_CONTRAST = np.log(1.25)  # the wide portion of a tool is 1.25 times as wide as the thin one
 MIN_ELONGATION = 1.8  # of a tool without a noun: length over width
+MIN_THIN = 0.045  # [m] the thin portion of a tool is at least this long
 RIM = 0.025  # [m] from the top of a vessel
 MIN_BULK = 0.10  # of a drill's silhouette is in each of its two bulky portions
 MIN_DIFFERENCE = 0.15  # between the two ends of an animal, in relative width and height
+RAISED = 1.1  # a head that is held high is this much higher than half of the animal
 TAIL_ROOT = 2  # bins behind the thick middle that still belong to the rump
 
 # Words for the end of a tool that does the work; the handle is the other one.
-_WORKING_WORDS = {"head", "blade", "bowl", "bristles", "body", "claw", "tip", "rim", "base"}
+_HANDLE_WORDS = {"handle", "ring"}
+_WORKING_WORDS = {"head", "blade", "bowl", "bristles", "body", "claw", "rim", "base"}
 _THIN_WORDS = {"shaft", "neck"}  # the working end where that is thin, else the handle
 
 
@@ -133,28 +139,57 @@ def _level(points: Array, part: str) -> Region | None:
 def _tool_part(points: Array, part: str, rule: Rule) -> Region | None:
     frame = Frame(points)
     profile = profile_of(points, frame)
-    values, measure = profile.width, "wide"
-    split, contrast = best_split(np.log(values))
-    if contrast < MIN_CONTRAST and not frame.upright:  # a knife: as wide as its blade, but thicker
-        values, measure = profile.height, "high"
-        split, contrast = best_split(np.log(values))
-    if contrast < MIN_CONTRAST:
+    # What is thin must be long enough to be held or to work with, unlike the tip of an umbrella.
+    low = round(MIN_THIN / BIN)
+    cuts = {
+        measure: (values, *best_split(np.log(values), low=low))
+        for measure, values in _measures(profile, rule, upright=frame.upright).items()
+    }
+    measure = next((m for m, (_, _, contrast) in cuts.items() if contrast > MIN_CONTRAST), None)
+    if measure is None:
         raise PartNotFound(f"it is {profile.length * 100:.0f} cm long and alike all along")
-    first = profile.bin < split
-    wide = first if values[:split].mean() > values[split:].mean() else ~first
-    working = wide if rule.working_end == "wide" else ~wide
+    values, split, _ = cuts[measure]
+    if values[:split].mean() > values[split:].mean():  # the thin portion first
+        profile, values, split = profile.reversed(), values[::-1], len(values) - split
+    waist, shoulder = slope(values, split)  # what is between them is neither
+    thin, wide = profile.bin < waist, profile.bin >= shoulder
+    working_first = rule.working_end != "wide"
+    working = thin if working_first else wide
     if part in _THIN_WORDS:
-        mask = ~wide
-    elif part == "handle":
-        mask = ~working
+        mask = thin
+    elif part in _HANDLE_WORDS:
+        mask = wide if working_first else thin
+    elif part == "tip":
+        mask = working & _outer_end(profile, split, at_end=not working_first)
     elif part in _WORKING_WORDS:
         mask = working
     else:
         return None
-    ends = [100 * np.median(values[np.unique(profile.bin[m])]) for m in (wide, ~wide)]
+    ends = [100 * np.median(values[np.unique(profile.bin[m])]) for m in (wide, thin)]
     size = f"{profile.length * 100:.0f} cm long, {ends[0]:.1f} cm {measure} at one end and "
-    chosen = measure if np.array_equal(mask, wide) else {"wide": "thin", "high": "low"}[measure]
+    chosen = measure if mask[wide].any() else {"wide": "thin", "high": "low"}[measure]
     return Region(mask, f"{size}{ends[1]:.1f} cm at the other; its {chosen} portion is the {part}")
+
+
+def _measures(profile: Profile, rule: Rule, *, upright: bool) -> dict[str, Array]:
+    """What tells the portions of a tool apart, first what does it best.
+
+    A knife is as wide as its blade, but thicker, and so may be other tools.
+    """
+    if upright:
+        return {"wide": profile.width}
+    measures = {"wide": profile.width, "high": profile.height}
+    return dict(reversed(measures.items())) if rule.working_end == "flat" else measures
+
+
+def _outer_end(profile: Profile, split: int, *, at_end: bool) -> Mask:
+    """The outer quarter of a portion, or what is beyond its last sudden narrowing."""
+    count = len(profile.width)
+    if not at_end:
+        return np.asarray(profile.bin < max(2, split // 4))
+    stub, contrast = best_split(np.log(profile.width[split:]))
+    stub = stub + split if contrast > MIN_CONTRAST else count
+    return np.asarray(profile.bin >= min(stub, count - max(2, (count - split) // 4)))
 
 
 def _vessel_likeness(points: Array, frame: Frame) -> float:
@@ -173,7 +208,7 @@ def _vessel_part(points: Array, part: str, rule: Rule) -> Region | None:
     if circle is None:
         raise PartNotFound("no round body is seen")
     size = f"a round body of {2 * circle.radius * 100:.0f} cm"
-    if part == "handle":
+    if part in {"handle", "ear", "ring"}:
         handle = protrusion(points, circle)
         if handle is None:
             raise PartNotFound(f"{size}, nothing sticks out of it: its handle is hidden")
@@ -200,6 +235,8 @@ def _bottle_part(points: Array, part: str, rule: Rule) -> Region | None:
         begin = count * 3 // 4
         how += f"no neck seen, so its {'upper' if frame.upright else 'narrow'} quarter is the top"
     else:
+        foot = count - slope(profile.width[::-1], count - begin)[0]
+        begin = min(foot, begin + MAX_SHOULDER)
         how += (
             f"the {(1 - begin / count) * profile.length * 100:.0f} cm beyond its neck are the top"
         )
@@ -251,44 +288,66 @@ def _bridge(picture: Mask, label: Array, big: set[int]) -> Mask:
 
 
 def _animal_part(points: Array, part: str, rule: Rule) -> Region | None:
-    frame = Frame(points)
-    profile = _head_first(profile_of(points, frame))
-    width, height = profile.width, profile.height
-    z = points[:, 2]
+    profile, head_end = _head_first(profile_of(points, Frame(points)))
+    width, height, z = profile.width, profile.height, points[:, 2]
     low = z < 0.3 * z.max()
-    # The middle reaches over all that is thick and over all legs.
-    leg_bins = np.unique(profile.bin[low])
+    nose = _trunk_end(profile, head_end)
+    # The trunk of the body reaches over all that is thick and over all legs.
+    leg_bins = np.unique(profile.bin[low & (profile.bin >= head_end)])
     leg_bins = leg_bins[height[leg_bins] > 0.5 * height.max()]
-    middle = np.union1d(np.flatnonzero(width > 0.8 * width.max()), leg_bins)
+    thick = np.flatnonzero(width > 0.8 * width[head_end:].max())
+    middle = np.union1d(thick[thick >= head_end], leg_bins)
     begin, end = int(middle.min()), int(middle.max()) + 1
-    before = profile.bin < begin
-    back = float(np.median(height[begin:end]))
-    raised = height[:begin].max(initial=0.0)
-    if raised > 1.15 * back:
-        head = before & (z > (back + raised) / 2)
-    else:
-        head = profile.bin < max(3, len(width) // 5)
+    head = (profile.bin >= nose) & (profile.bin < head_end)
+    if not nose:  # a head on a neck is what is high
+        head &= z > (np.median(height) + height[:head_end].max()) / 2
+    behind = profile.bin >= nose
+    tail = (profile.bin >= end + TAIL_ROOT) & (width < 0.6 * width[begin:end].max())[profile.bin]
     masks = {
-        "tail": (profile.bin >= end + TAIL_ROOT, "its low, tapering end"),
-        "leg": (low & ~before & (profile.bin < end), "what is low under its middle"),
-        "head": (head, "its high, blunt end"),
-        "horn": (head, "its high, blunt end"),
-        "neck": (before & ~head & ~low, "what is between its head and its middle"),
-        "body": (~before & (profile.bin < end) & ~low & ~head, "its thick middle"),
+        "tail": (tail, "its thin rear end"),
+        "leg": (low & (profile.bin >= begin) & (profile.bin < end), "what is low under its middle"),
+        "head": (head, "its high end"),
+        "trunk": (profile.bin < nose, "what is low and thin before its head"),
+        "neck": (
+            behind & (profile.bin < begin) & ~head & ~low,
+            "what is between its head and its middle",
+        ),
+        "body": ((profile.bin >= begin) & (profile.bin < end) & ~low & ~head, "its thick middle"),
     }
-    if part not in masks:
+    name = {"horn": "head", "ear": "head"}.get(part, part)
+    if name not in masks:
         return None
-    mask, told = masks[part]
+    mask, told = masks[name]
     return Region(mask, f"{profile.length * 100:.0f} cm long; {told} is the {part}")
 
 
-def _head_first(profile: Profile) -> Profile:
-    """The head is held high and is blunt; the tail is low and tapers."""
-    width, height = profile.width, profile.height
+def _head_first(profile: Profile) -> tuple[Profile, int]:
+    """The profile from the head on, and the bin at which the head ends.
+
+    The head is held high, else it is the end that is high and blunt: the tail is low and tapers.
+    """
+    height, count = profile.height, len(profile.height)
+    high = height > (np.median(height) + height.max()) / 2
+    runs, _ = ndimage.label(high)
+    raised = np.flatnonzero(runs == runs[int(np.argmax(height))])
+    place = (raised[0] + raised[-1] + 1) / 2 / count
+    if height.max() > RAISED * np.median(height) and abs(place - 0.5) > 0.03:
+        if place < 0.5:
+            return profile, int(raised[-1]) + 1
+        return profile.reversed(), count - int(raised[0])
     first, last = (
-        end_mean(width, first=f) / width.max() + end_mean(height, first=f) / height.max()
+        end_mean(profile.width, first=f) / profile.width.max()
+        + end_mean(height, first=f) / height.max()
         for f in (True, False)
     )
     if abs(first - last) < MIN_DIFFERENCE:
         raise PartNotFound("its two ends are alike: head and tail cannot be told apart")
-    return profile if first > last else profile.reversed()
+    return (profile if first > last else profile.reversed()), max(3, count // 5)
+
+
+def _trunk_end(profile: Profile, head_end: int) -> int:
+    """The bin before which is a trunk, low and thin before the head; 0 for none."""
+    split, contrast = best_split(np.log(profile.width[:head_end]))
+    thin = profile.width[:split].mean() < profile.width[split:head_end].mean()
+    low = np.median(profile.height[:split]) < 0.7 * profile.height.max()
+    return split if contrast > MIN_CONTRAST and thin and low else 0

@@ -28,6 +28,8 @@ MIN_PIECE_POINTS = 150
 FLOATING = 0.010  # [m] above the table: what starts higher hangs on something hidden:
 NEAR_GAP = 0.015  # [m] on whatever is this near,
 HIDDEN_GAP = 0.06  # [m] or on something of like colour at most this far away
+UNDER = 0.008  # [m] what is this near to a thing as seen from above is under it
+MIN_UNDER = 0.8  # share of a leg that is under its body
 ALIKE = 0.15  # sum of differences in chromaticity
 MIN_FLOATING_POINTS = 12
 
@@ -40,7 +42,8 @@ def segment(points: Array, chroma: Array) -> Labels:
         chroma: (N, 3) colours without brightness, see ``colour.chromaticity``.
     """
     label = clusters(neighbors(points, min(24, len(points))), MAX_GAP)
-    return _ranked(points, _join_floating(points, chroma, label))
+    label = _join_floating(points, chroma, label)
+    return _ranked(points, _join_legs(points, label))
 
 
 def _ranked(points: Array, label: Labels) -> Labels:
@@ -82,6 +85,23 @@ def _join_floating(points: Array, chroma: Array, label: Labels) -> Labels:
         ).sum()
         if distance.min() < (HIDDEN_GAP if alike < ALIKE else NEAR_GAP):
             label[mine] = holder
+    return label
+
+
+def _join_legs(points: Array, label: Labels) -> Labels:
+    """Joins what stands under a thing to it: a leg whose upper end the body hides."""
+    label = label.copy()
+    for leg in np.unique(label):
+        mine = label == leg
+        others = np.flatnonzero(~mine & (points[:, 2] > np.percentile(points[mine, 2], 90)))
+        if mine.sum() < MIN_FLOATING_POINTS or len(others) == 0:
+            continue
+        distance, nearest = cKDTree(points[others, :2]).query(points[mine, :2])
+        under = distance < UNDER
+        body = np.bincount(label[others[nearest[under]]], minlength=1)
+        gap = points[others[nearest[under]], 2].min(initial=np.inf) - points[mine, 2].max()
+        if body.max() > MIN_UNDER * mine.sum() and gap < HIDDEN_GAP:
+            label[mine] = body.argmax()
     return label
 
 

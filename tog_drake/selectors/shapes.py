@@ -21,9 +21,14 @@ CELL = 0.004  # [m] of a silhouette
 SPACING = 0.003  # [m] between points of a cloud
 MAX_GAP = 0.010  # [m] between the points of one part
 UPRIGHT = 1.1  # what is this much higher than long stands
+MAX_SHOULDER = 2  # bins
+SLACK = 0.015  # relative; what narrows by less from bin to bin is alike
 MIN_NECK = 0.25  # what has a neck narrows at it by this much, in logarithms of width
 CIRCLE_TOLERANCE = 0.004  # [m]
 CIRCLE_RADIUS = (0.02, 0.10)  # [m] of a round body
+MIN_EXPLAINED = 0.3  # of the silhouette is round: the rest may be a long handle
+SECTORS = 24  # of a circle
+MIN_SEEN = 0.55  # of the sectors of a round body
 HYPOTHESES = 600  # circles tried
 PROTRUSION = 0.008  # [m] beyond the circle begins what sticks out of it
 MAX_SPAN = np.radians(120)  # of the circle at which one thing sticks out
@@ -90,10 +95,14 @@ def profile_of(points: Array, frame: Frame) -> Profile:
     return Profile(number, width, height)
 
 
-def best_split(values: Array) -> tuple[int, float]:
+def best_split(values: Array, *, low: int = 1) -> tuple[int, float]:
     """The index that best cuts a sequence into two levels, and the levels' difference.
 
     Best by least squares. The two values at either end do not count: ends are rounded.
+
+    Args:
+        values: (B,).
+        low: the part of lower level has at least so many values.
     """
     trim = 2 if len(values) > 12 else 0
     inner = values[trim : len(values) - trim]
@@ -102,9 +111,26 @@ def best_split(values: Array) -> tuple[int, float]:
         return 1, 0.0
     left = np.cumsum(inner)[:-1] / np.arange(1, n)
     right = (inner.sum() - np.cumsum(inner)[:-1]) / np.arange(n - 1, 0, -1)
-    weight = np.arange(1, n) * np.arange(n - 1, 0, -1)
+    count = np.arange(1, n)
+    short = np.where(left < right, count, n - count) + trim < low
+    weight = np.where(short, 0, count * (n - count))
     split = int(np.argmax(weight * (left - right) ** 2)) + 1
-    return split + trim, float(abs(left - right)[split - 1])
+    return split + trim, float(abs(left - right)[split - 1]) if weight.any() else 0.0
+
+
+def slope(values: Array, split: int) -> tuple[int, int]:
+    """The bins between which a thing changes from its thin portion, first, to its wide one.
+
+    From ``split`` it is followed down to the waist, where it narrows no more, and up to the
+    shoulder, though not far: what bulges all along has none.
+    """
+    low = high = split
+    while low > 1 and values[low - 2] < values[low - 1] * (1 - SLACK):
+        low -= 1
+    end = min(len(values) - 1, split + MAX_SHOULDER)
+    while high < end and values[high + 1] > values[high] * (1 + 4 * SLACK):
+        high += 1
+    return max(1, low - 1), high  # the boundary runs through a bin
 
 
 def neck(width: Array) -> int | None:
@@ -154,9 +180,11 @@ def round_body(points: Array) -> Circle | None:
     off = np.linalg.norm(cells[None] - centre[:, None], axis=2) - radius[:, None]
     on = (np.abs(off) < CIRCLE_TOLERANCE).sum(axis=1)
     best = int(np.argmax(on))
-    arc = on[best] * CELL / (2 * np.pi * radius[best])
+    on_best = cells[np.abs(off[best]) < CIRCLE_TOLERANCE] - centre[best]
+    sector = np.floor(np.arctan2(on_best[:, 1], on_best[:, 0]) / (2 * np.pi) * SECTORS)
+    seen = len(np.unique(sector)) / SECTORS
     explained = (off[best] < CIRCLE_TOLERANCE).mean()
-    if arc < 0.4 or explained < 0.5:
+    if seen < MIN_SEEN or explained < MIN_EXPLAINED:
         return None
     return Circle(centre[best], float(radius[best]))
 
