@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -176,3 +178,48 @@ def test_case_and_punctuation_do_not_matter(words, gaps):
 def test_an_apostrophe_does_not_matter():
     assert read_task("Don’t grab the hammer's head").avoid == ("head",)
     assert read_task("dont grab the hammers head").avoid == ("head",)
+
+
+def _phrasings(name):
+    lines = (Path(__file__).with_name(name)).read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def _told(reading):
+    """A reading in the form of phrasings.txt."""
+    parts, avoid = (" ".join(words) or "-" for words in (reading.parts, reading.avoid))
+    told = [reading.intent or "-", parts, avoid, *(reading.objects[:1] or "-")]
+    told += ["forbidden"] if reading.forbidden else []
+    told += ["unknown " + " ".join(reading.unknown)] if reading.unknown else []
+    return "; ".join(told)
+
+
+@pytest.mark.parametrize("line", _phrasings("phrasings.txt"))
+def test_a_phrasing_is_read_as_a_person_would(line):
+    task, expected = line.split(" | ")
+    assert _told(read_task(task)) == expected
+
+
+def test_of_fifty_phrasings_never_tuned_for_those_are_misread_that_are_marked():
+    lines = _phrasings("phrasings_held_out.txt")
+    misread = [
+        line
+        for line in lines
+        if _told(read_task(line.split(" | ")[0].removeprefix("! "))) != line.split(" | ")[1]
+    ]
+    assert len(lines) == 50
+    assert misread == [line for line in lines if line.startswith("!")]
+
+
+@given(st.text(max_size=MAX_TASK_LENGTH))
+def test_a_reading_depends_on_the_words_alone(text):
+    try:
+        assert read_task(text) == read_task(text)
+    except InputError as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize("word", ["candle", "wallet", "whisky", "battle", "house", "crush"])
+def test_a_word_of_its_own_is_no_slip_of_the_pen(word):
+    assert read_task(f"pick up the {word}").parts == ()
+    assert read_task(f"pick up the {word}").objects[:1] in ((word,), ())

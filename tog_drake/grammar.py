@@ -49,7 +49,11 @@ def words_of(text: str) -> list[str]:
     words = []
     for word in re.findall(r"[^\W_]+", plain):
         words += LEXICON.contractions.get(word, word).split()
-    return _merged(words)
+    merged = _merged(words)
+    # "a pair of scissors" is scissors.
+    pairs = zip(merged, [*merged, ""][1:], strict=True)
+    amount = {i for i, (word, after) in enumerate(pairs) if word in G.measures and after == "of"}
+    return [word for i, word in enumerate(merged) if not {i, i - 1} & amount]
 
 
 def _merged(words: list[str]) -> list[str]:
@@ -132,8 +136,10 @@ def verbs_of(words: list[str]) -> list[Verb]:
         sense = _sense(words, i)
         if sense is None:
             continue
-        by_robot = _by_robot(words, i, found, sense)
-        found.append(Verb(i, words[i], sense, by_robot, _negated_verb(words, i, found)))
+        negated = _negated_verb(words, i, found)
+        if negated and words[i] in G.mishaps:  # "do not drop it"
+            sense = "mishap"
+        found.append(Verb(i, words[i], sense, _by_robot(words, i, found, sense), negated))
     return found
 
 
@@ -147,9 +153,9 @@ def _sense(words: list[str], i: int) -> Sense | None:
         return None
     if word in LEXICON.use_verbs:
         return "use"
-    if word in G.mishaps:
-        return "mishap"
-    return "hold" if word in G.hold_verbs else None
+    if word in G.hold_verbs:
+        return "hold"
+    return "mishap" if word in G.mishaps else None
 
 
 def _can_be_verb(words: list[str], i: int) -> bool:
@@ -271,6 +277,10 @@ def _phrase(
     j = begin - 1
     while j >= 0 and words[j] in G.determiners | G.measures | {"only", "end", "side", "it"}:
         j -= 1
+    if verb is not None and j == verb.at + 1 and words[j] in G.particles:
+        j = verb.at  # "hand over the mug", "pick up the mug"
+    if at(words, j) == "to" and at(words, j - 1) in G.locatives:  # "next to the mug"
+        j -= 1
     lead = at(words, j)
     negated = _negated_phrase(words, begin, verb, earlier)
     return Phrase(begin, end, tuple(words[begin:end]), lead, verb, negated)
@@ -290,6 +300,6 @@ def _negated_phrase(words: list[str], begin: int, verb: Verb | None, earlier: li
             between = set(words[last.end : begin])
             joined = between & {"or", "nor", "and"} and between <= G.joining | G.determiners
             return last.negated and bool(joined)
-    if verb is not None and verb.word in {"keep", "stay"} and at(words, verb.at + 1) == "off":
+    if verb is not None and verb.word in {"keep", "stay"} and "off" in words[verb.at : begin]:
         return True
     return verb is not None and verb.negated

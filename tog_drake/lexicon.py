@@ -59,6 +59,7 @@ class Grammar:
     modals: frozenset[str]
     prepositions: frozenset[str]
     locatives: frozenset[str]
+    particles: frozenset[str]
     joining: frozenset[str]
     measures: frozenset[str]
     places: frozenset[str]

@@ -114,12 +114,20 @@ def _means_part(words: list[str], i: int, phrase: Phrase) -> bool:
         owned = before in LEXICON.rules
         held = (phrase.verb is not None and phrase.lead == phrase.verb.word) or phrase.negated
         offered = _is_offered(words, i)
+        if LEXICON.parts[word] == "middle" and phrase.lead == "in":
+            return True
         return phrase.lead not in G.locatives - {"around"} and (
             phrase.lead in {"by", "at", "from", "around"} or (held and (by or owned)) or offered
         )
     if word == "bowl":  # of a spoon only where it is said so
         owned = after == "of" or before in LEXICON.rules or before in {"its", "s"}
-        return owned or phrase.lead == "by" or (phrase.negated and phrase.lead in {"by", "touch"})
+        end = after in {"end", "side"}
+        return (
+            owned
+            or end
+            or phrase.lead in {"by", "at"}
+            or (phrase.negated and phrase.lead in {"by", "touch"})
+        )
     return not (word in {"head", "neck"} and phrase.lead in {"over", "above"})
 
 
@@ -205,6 +213,8 @@ def _objects(
         for phrase, noun in nouns
         if not phrase.negated and phrase.lead not in G.locatives - {"around"}
     ]
+    if not meant:  # "do not touch the mug"
+        meant = [(phrase, noun) for phrase, noun in nouns if phrase.lead not in G.locatives]
     first = _first(meant, intent)
     if intent == "use" and first is None:
         first = _implied(verbs, parts)
