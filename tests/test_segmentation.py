@@ -60,3 +60,13 @@ def test_a_thing_of_two_colours_is_cut_out_of_a_heap_whole():
     piece = cut_out(points, normals, chromaticity(rgb), fit(rgb, "orange"))
     assert (piece[:drill] == 0).mean() > 0.95
     assert (piece[drill:] == -1).mean() > 0.9
+
+
+def test_a_leg_whose_upper_end_is_hidden_belongs_to_what_it_stands_under():
+    body = things.box((-0.06, -0.03, 0.06), (0.06, 0.03, 0.10))
+    leg = things.box((0.03, -0.03, 0.004), (0.05, -0.015, 0.035))
+    beside = things.box((0.03, -0.08, 0.004), (0.05, -0.05, 0.035))
+    points = np.vstack([body, leg, beside])
+    label = segment(points, np.full((len(points), 3), 1 / 3))
+    owner = np.repeat([0, 0, 1], [len(body), len(leg), len(beside)])
+    assert label.tolist() == owner.tolist()

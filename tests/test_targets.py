@@ -54,8 +54,23 @@ def test_two_objects_that_the_words_do_not_tell_apart_are_no_choice():
         target("hand me the red mug", *parts)
     with pytest.raises(NoChoice, match="2 could be a mug"):
         target("hand me the mug", *parts)
-    with pytest.raises(NoChoice, match="does not tell them apart"):
+    with pytest.raises(NoChoice, match="no shape of 'gizmo' is known"):
         target("hand me the gizmo", *parts)
+
+
+def test_what_is_in_view_is_said_where_the_noun_fits_nothing():
+    parts = (MUG, things.STEEL), (HAMMER, things.STEEL)
+    with pytest.raises(
+        NoChoice, match=r"none has the shape of a umbrella. .*hammer"
+    ):
+        target("hand me the umbrella", *parts)
+
+
+def test_tools_are_told_apart_by_their_size():
+    driver = things.turned(things.screwdriver()[0], 1.0, (0.0, 0.3))
+    parts = (HAMMER, things.STEEL), (driver, things.STEEL)
+    assert which("hand me the hammer", *parts) == 0
+    assert which("hand me the screwdriver", *parts) == 1
 
 
 def test_a_colour_that_is_not_there_is_no_choice_that_says_what_is():

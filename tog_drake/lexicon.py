@@ -33,6 +33,8 @@ class Rule:
     kind: Kind
     working: str = "body"  # the part that does the work, and is held when handing it over
     working_end: End = "wide"  # of a tool
+    looks: tuple[float, float, float, float] | None = None
+    """How long, wide and high [m], and the share of its length that is wide (0: not said)."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +148,7 @@ def _rules(section: Any, parts: dict[str, str], where: str) -> dict[str, Rule]:
     rules: dict[str, Rule] = {}
     for noun, entry in _items(section, where):
         here = f"{where}: {noun}"
-        _entry(entry, ["kind"], ["working", "working_end", "words"], here)
+        _entry(entry, ["kind"], ["working", "working_end", "looks", "words"], here)
         rule = {key: value for key, value in entry.items() if key != "words"}
         for key, valid in (
             ("kind", get_args(Kind)),
@@ -155,11 +157,22 @@ def _rules(section: Any, parts: dict[str, str], where: str) -> dict[str, Rule]:
         ):
             if key in rule and rule[key] not in valid:
                 raise InputError(f"{here}: {key} {rule[key]!r} is none of {', '.join(valid)}")
+        if "looks" in rule:
+            rule["looks"] = _looks(rule["looks"], here)
         for word in [noun, *_words(entry.get("words", []), here)]:
             if word in rules:
                 raise InputError(f"{here}: {word!r} stands twice among the objects")
             rules[word] = Rule(**rule)
     return rules
+
+
+def _looks(looks: Any, where: str) -> tuple[float, ...]:
+    numbers = isinstance(looks, list) and all(isinstance(x, int | float) for x in looks)
+    if not numbers or len(looks) != 4 or min(looks[:3]) <= 0 or not 0 <= looks[3] < 1:
+        raise InputError(
+            f"{where}: looks must be length, width and height [cm] and a share below 1: {looks!r}"
+        )
+    return (*(x / 100 for x in looks[:3]), looks[3])
 
 
 def _names_of_words(section: Any, where: str, *, named: bool = True) -> dict[str, str]:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from tog_drake.lexicon import LEXICON, Kind, Rule
+from tog_drake.lexicon import LEXICON, Rule
 from tog_drake.selectors.shapes import (
     BIN,
     MAX_SHOULDER,
@@ -80,25 +80,6 @@ def rule_of(nouns: tuple[str, ...], points: Array) -> tuple[Rule, str]:
 
 def _called(rule: Rule) -> str:
     return LEXICON.kinds[rule.kind].called
-
-
-def likeness(points: Array, kind: Kind) -> float:
-    """How much (0..1) the shape could be of the kind, to tell a thing from its neighbours."""
-    frame = Frame(points)
-    if kind == "bottle":
-        return float(frame.upright and frame.height > 0.08)
-    if kind == "tool":
-        long = frame.length > max(0.12, MIN_ELONGATION * frame.width)
-        return float(long and frame.height < 0.07)
-    if kind == "animal":
-        return float(frame.length > 1.3 * frame.width and frame.height > 0.03 and not frame.upright)
-    if kind == "vessel":
-        return _vessel_likeness(points, frame)
-    try:
-        find_part(points, "handle", Rule(kind))
-    except PartNotFound:
-        return 0.0
-    return 1.0
 
 
 def find_part(points: Array, part: str, rule: Rule) -> Region:
@@ -190,17 +171,6 @@ def _outer_end(profile: Profile, split: int, *, at_end: bool) -> Mask:
     stub, contrast = best_split(np.log(profile.width[split:]))
     stub = stub + split if contrast > MIN_CONTRAST else count
     return np.asarray(profile.bin >= min(stub, count - max(2, (count - split) // 4)))
-
-
-def _vessel_likeness(points: Array, frame: Frame) -> float:
-    """Round, best also hollow and with a handle: what is seen within the rim lies below it."""
-    circle = round_body(points)
-    if circle is None or frame.height < 0.04 or frame.width < 0.55 * frame.length:
-        return 0.0
-    inner = circle.distance(points) < 0.75 * circle.radius
-    deep = inner & (points[:, 2] < frame.height - 0.02)
-    hollow = inner.mean() < 0.05 or deep.sum() > 0.6 * inner.sum()
-    return 0.5 * float(hollow) + 0.3 * float(protrusion(points, circle) is not None)
 
 
 def _vessel_part(points: Array, part: str, rule: Rule) -> Region | None:

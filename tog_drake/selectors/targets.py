@@ -8,13 +8,15 @@ from numpy.typing import NDArray
 from tog_drake.errors import NoChoice
 from tog_drake.lexicon import LEXICON
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
-from tog_drake.selectors.parts import likeness
+from tog_drake.selectors.likeness import likeness, most_like
 from tog_drake.selectors.segmentation import Labels, Mask, cut_out, is_heap, segment
 from tog_drake.task import TaskReading
 from tog_drake.values import Array
 
 MIN_FIT = 0.10  # of a colour name, averaged over a thing: less is another colour
 CLEAR = 0.45  # what fits less than this share as well as the best is another thing
+MIN_LIKENESS = 0.01  # to what a noun says
+SIMILAR = 0.6  # what is less like the noun than this share of the best is another thing
 RIVAL = 0.5  # a neighbouring colour may fit better, up to 1 / RIVAL times
 
 
@@ -62,12 +64,18 @@ def find_target(
     shaped = _shaped(noun, points, things)
     if len(shaped) == 1:
         return Target(shaped[0], f"Of {len(things)} objects the one with the shape of a {noun}")
-    alike = f"{len(shaped)} could be a {noun}" if shaped else f"no shape of a {noun} is known here"
+    alike = f"{len(shaped)} could be a {noun}" if shaped else f"none has the shape of a {noun}"
+    if not noun:
+        named = " and ".join(reading.objects[:1])
+        alike = f"no shape of {named!r} is known" if named else "the task names none of them"
     raise NoChoice(
-        f"{len(things)} objects are in view and the task does not tell them apart"
-        + (f": {alike}" if noun else "")
-        + ". Name its colour, such as 'the red one'."
+        f"{len(things)} objects are in view and the task does not tell them apart: {alike}. They "
+        f"look like {_looks_of(points, things)}. Name its colour, such as 'the red one'."
     )
+
+
+def _looks_of(points: Array, things: list[Mask]) -> str:
+    return ", ".join(sorted(most_like(points[thing]) for thing in things))
 
 
 def _masks(label: Labels) -> list[Mask]:
@@ -116,8 +124,10 @@ def _shaped(noun: str, points: Array, things: list[Mask]) -> list[Mask]:
     """The things most like the noun; none where it is not known or nothing is like it."""
     if not noun:
         return []
-    like = np.array([likeness(points[thing], LEXICON.rules[noun].kind) for thing in things])
-    return [things[i] for i in np.flatnonzero((like > 0) & (like >= like.max()))]
+    like = np.array([likeness(points[thing], LEXICON.rules[noun]) for thing in things])
+    if like.max(initial=0.0) < MIN_LIKENESS:
+        return []
+    return [things[i] for i in np.flatnonzero(like > SIMILAR * like.max())]
 
 
 def _colour_of(rgb: NDArray[np.uint8]) -> str:
