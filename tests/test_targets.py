@@ -60,9 +60,7 @@ def test_two_objects_that_the_words_do_not_tell_apart_are_no_choice():
 
 def test_what_is_in_view_is_said_where_the_noun_fits_nothing():
     parts = (MUG, things.STEEL), (HAMMER, things.STEEL)
-    with pytest.raises(
-        NoChoice, match=r"none has the shape of a umbrella. .*hammer"
-    ):
+    with pytest.raises(NoChoice, match=r"none has the shape of a umbrella. .*hammer"):
         target("hand me the umbrella", *parts)
 
 

@@ -147,7 +147,7 @@ class _Held:
             inside = np.minimum(rest.query(self._grasps.X_WG[:, :3, 3])[0] / margin, 1.0)
             # A pad reaches half its width beyond the contact.
             touches = np.minimum(rest.query(self._grasps.p_WContact)[0] / (PAD_WIDTH / 2), 1.0)
-        on_part = (0.1 + self.share(part) ** 2) * (0.6 + 0.4 * inside) * (0.4 + 0.6 * touches)
+        on_part = (0.1 + self.share(part) ** 2) * (0.3 + 0.7 * inside) * (0.4 + 0.6 * touches)
         return np.asarray(self._grasps.score**2 * on_part)
 
 

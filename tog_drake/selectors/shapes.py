@@ -26,7 +26,7 @@ SLACK = 0.015  # relative; what narrows by less from bin to bin is alike
 MIN_NECK = 0.25  # what has a neck narrows at it by this much, in logarithms of width
 CIRCLE_TOLERANCE = 0.004  # [m]
 CIRCLE_RADIUS = (0.02, 0.10)  # [m] of a round body
-MIN_EXPLAINED = 0.3  # of the silhouette is round: the rest may be a long handle
+MIN_EXPLAINED = 0.2  # of the silhouette is round: the rest may be a long handle
 SECTORS = 24  # of a circle
 MIN_SEEN = 0.55  # of the sectors of a round body
 HYPOTHESES = 600  # circles tried
@@ -181,10 +181,10 @@ def round_body(points: Array) -> Circle | None:
     on = (np.abs(off) < CIRCLE_TOLERANCE).sum(axis=1)
     best = int(np.argmax(on))
     on_best = cells[np.abs(off[best]) < CIRCLE_TOLERANCE] - centre[best]
-    sector = np.floor(np.arctan2(on_best[:, 1], on_best[:, 0]) / (2 * np.pi) * SECTORS)
+    sector = np.floor(np.arctan2(on_best[:, 1], on_best[:, 0]) / (2 * np.pi) * SECTORS) % SECTORS
     seen = len(np.unique(sector)) / SECTORS
     explained = (off[best] < CIRCLE_TOLERANCE).mean()
-    if seen < MIN_SEEN or explained < MIN_EXPLAINED:
+    if seen < MIN_SEEN or seen * explained < MIN_EXPLAINED:
         return None
     return Circle(centre[best], float(radius[best]))
 
