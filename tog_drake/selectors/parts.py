@@ -38,6 +38,7 @@ from tog_drake.values import Array
 MIN_CONTRAST = np.log(1.25)  # the wide portion of a tool is 1.25 times as wide as the thin one
 MIN_ELONGATION = 1.8  # of a tool without a noun: length over width
 MIN_THIN = 0.045  # [m] the thin portion of a tool is at least this long
+MIN_TOP = 0.024  # [m] of a bottle: less cannot be held
 RIM = 0.025  # [m] from the top of a vessel
 MIN_BULK = 0.10  # of a drill's silhouette is in each of its two bulky portions
 MIN_DIFFERENCE = 0.15  # between the two ends of an animal, in relative width and height
@@ -206,7 +207,7 @@ def _bottle_part(points: Array, part: str, rule: Rule) -> Region | None:
         how += f"no neck seen, so its {'upper' if frame.upright else 'narrow'} quarter is the top"
     else:
         foot = count - slope(profile.width[::-1], count - begin)[0]
-        begin = min(foot, begin + MAX_SHOULDER)
+        begin = max(begin, min(foot, begin + MAX_SHOULDER, count - round(MIN_TOP / BIN)))
         how += (
             f"the {(1 - begin / count) * profile.length * 100:.0f} cm beyond its neck are the top"
         )
