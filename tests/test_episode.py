@@ -165,6 +165,27 @@ def test_what_the_scenario_lacks_is_said_with_what_it_has():
         build_world(load_scenario("Hammer", "pipeline: {camera: head}"))
 
 
+@pytest.mark.parametrize(
+    ("task", "target"),
+    [
+        ("hand me the cup", "cup"),
+        ("stir it with the egg whisk", "whisk"),
+        ("use the kitchen knife", "knife"),
+        ("put the spoon into the pot", None),
+        ("hand me something", None),
+    ],
+)
+def test_among_several_objects_the_task_names_the_one_that_is_judged(task, target):
+    scenario = load_scenario("Kitchen", "settle: null")
+    if target is not None:
+        assert build_world(scenario, task=task).target == target
+    else:
+        message = r"which object.*names .*give --object; valid: pot, spatula, whisk, spoon, knife"
+        with pytest.raises(InputError, match=message):
+            build_world(scenario, task=task)
+    assert build_world(scenario, target="pot", task=task).target == "pot"
+
+
 def test_an_object_can_be_named_by_what_it_is():
     assert build_world(load_scenario("Hammer"), target="claw hammer").target == "hammer"
     assert list(load_objects(load_scenario("Mug"))) == ["mug"]

@@ -300,12 +300,12 @@ def diagram(
 ) -> None:
     """Draw the Diagram of a scenario: station, stages and the ports that connect them."""
     from tog_drake.diagram_graph import svg
-    from tog_drake.episode import build_world
+    from tog_drake.episode import build_world, load_objects
     from tog_drake.files import write_atomically
 
     check_file(out)
     loaded = _load(scenario, scenario_text, selector, None, None, None)
-    write_atomically(out, svg(build_world(loaded)))
+    write_atomically(out, svg(build_world(loaded, target=next(iter(load_objects(loaded)), None))))
     say(console_for(as_json=False), f"picture: {out}")
 
 

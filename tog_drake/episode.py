@@ -1,5 +1,6 @@
 """One simulated episode: scenario, task and seed in; a record and what to show of it out."""
 
+import re
 import time
 from dataclasses import dataclass
 
@@ -51,20 +52,26 @@ def load_objects(scenario: Scenario) -> dict[str, ObjectParts]:
 
 
 def build_world(
-    scenario: Scenario, *, target: str | None = None, meshcat: Meshcat | None = None
+    scenario: Scenario,
+    *,
+    target: str | None = None,
+    task: str = "",
+    meshcat: Meshcat | None = None,
 ) -> World:
     """Builds the simulated station and the pipeline of a scenario, connected.
 
     Args:
         scenario: what to build.
-        target: the object that the task is about (model instance); None where there is only one.
+        target: the object that the task is about (model instance); None where there is only one,
+            or the task names it.
+        task: what a person said, where the target is to be found in it.
         meshcat: where to draw, if anywhere.
 
     Raises:
         InputError: if the scenario does not hold the camera or the target.
     """
     objects = load_objects(scenario)
-    target = _find_target(objects, target)
+    target = _find_target(objects, target, task)
     camera = scenario.pipeline.camera
     cameras = camera_configs(scenario)
     if camera not in cameras:
@@ -117,7 +124,7 @@ def run_episode(
         InputError: if the scenario or the task cannot be used.
     """
     _check_success_is_possible(scenario)
-    world = build_world(scenario, target=target, meshcat=meshcat)
+    world = build_world(scenario, target=target, task=task, meshcat=meshcat)
     simulator = Simulator(world.diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()
@@ -248,18 +255,41 @@ def _replay(meshcat: Meshcat, world: World, context: Context, looked: float) -> 
     return replay_html(meshcat, duration=context.get_time(), decided=looked, closed=closed)
 
 
-def _find_target(objects: dict[str, ObjectParts], wanted: str | None) -> str:
-    """The model instance of the object meant, by its instance name or by what it is."""
+def _find_target(objects: dict[str, ObjectParts], wanted: str | None, task: str) -> str:
+    """The model instance of the object meant, by its instance name or by what it is.
+
+    It tells the judge and the oracle alone what the task is about; other selectors read the task.
+    """
     valid = ", ".join(objects)
     if not objects:
         raise InputError("the scenario holds no labelled object (one with a parts.yaml)")
     if wanted is None:
-        if len(objects) > 1:
-            raise InputError(f"which object is the task about? give --object; valid: {valid}")
-        return next(iter(objects))
+        named = list(objects) if len(objects) == 1 else _named(objects, task)
+        if len(named) != 1:
+            found = f"the task {task!r} names {' and '.join(named) or 'none of them'}; "
+            raise InputError(
+                f"which object is the task about? {found if task else ''}give --object; "
+                f"valid: {valid}"
+            )
+        return named[0]
     if wanted in objects:
         return wanted
     same = [name for name, parts in objects.items() if wanted in (parts.object, *parts.words)]
     if len(same) != 1:
         raise InputError(f"unknown object {wanted!r}; valid: {valid}")
     return same[0]
+
+
+def _named(objects: dict[str, ObjectParts], task: str) -> list[str]:
+    """The objects that a task calls by one of their names; "lotion bottle" is no "bottle"."""
+    spoken = f" {' '.join(re.findall(r'[a-z]+', task.lower()))} "
+    names = {
+        model: max((w for w in parts.words if f" {w} " in spoken), key=len, default="")
+        for model, parts in objects.items()
+    }
+    return [
+        model
+        for model, name in names.items()
+        if name
+        and not any(name != other and f" {name} " in f" {other} " for other in names.values())
+    ]

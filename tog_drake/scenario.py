@@ -5,14 +5,11 @@ plus ``planning_directives``, the part of the world that the robot knows, and ``
 Config dataclasses are not frozen, because Drake's YAML loader fills them field by field.
 """
 
-from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
 import yaml
-from pydrake.common import RandomGenerator
-from pydrake.common.schema import Transform
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.multibody.parsing import AddDirectives, ModelDirective
 from pydrake.multibody.plant import MultibodyPlantConfig
@@ -22,6 +19,7 @@ from pydrake.systems.sensors import CameraConfig
 from tog_drake.cameras import D435, L515, drake_config
 from tog_drake.errors import InputError
 from tog_drake.pipeline import PipelineConfig
+from tog_drake.placement import Settle, placed
 from tog_drake.resources import make_package_map, resource_dir
 from tog_drake.schema_check import check_yaml
 
@@ -57,6 +55,8 @@ class Scenario:
     """The model of arm (instance `panda`) and hand (instance `hand`), on a table at z = 0."""
     directives: list[ModelDirective] = field(default_factory=list)
     """The world around the robot. A stochastic `default_free_body_pose` is drawn by the seed."""
+    settle: Settle | None = None
+    """Where given, `settle: {}`, the objects fall from these poses and come to rest."""
     planning_directives: list[ModelDirective] = field(default_factory=lambda: [_table()])
     """What the robot knows of that world. It does not know the objects."""
     initial_position: dict[str, dict[str, float]] = field(
@@ -161,31 +161,18 @@ def _check(scenario: Scenario, source: str) -> None:
 
 
 def sampled_directives(scenario: Scenario) -> list[ModelDirective]:
-    """Returns the directives of robot and world, with every random pose drawn by the seed."""
-    generator = RandomGenerator(scenario.random_seed)
-    directives = [robot_directive(scenario)]
-    for directive in deepcopy(scenario.directives):
-        model = directive.add_model
-        if model is not None:
-            # Drake hands out a copy of the mapping, so it is assigned as a whole.
-            model.default_free_body_pose = {
-                body: pose if pose.IsDeterministic() else _drawn(pose, generator)
-                for body, pose in model.default_free_body_pose.items()
-            }
-        directives.append(directive)
-    return directives
+    """Returns the directives of robot and world, the objects where an episode begins.
+
+    Raises:
+        InputError: if the scenario settles its objects and they do not come to rest.
+    """
+    world = placed(scenario.directives, scenario.random_seed, scenario.settle)
+    return [robot_directive(scenario), *world]
 
 
 def robot_directive(scenario: Scenario) -> ModelDirective:
     """Returns the directive that adds arm and hand."""
     return ModelDirective(add_directives=AddDirectives(file=scenario.robot.url))
-
-
-def _drawn(pose: Transform, generator: RandomGenerator) -> Transform:
-    X = pose.Sample(generator)
-    drawn = Transform(X)
-    drawn.base_frame = pose.base_frame
-    return drawn
 
 
 def camera_configs(scenario: Scenario) -> dict[str, CameraConfig]:

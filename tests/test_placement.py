@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from tog_drake import placement
+from tog_drake.errors import InputError
+from tog_drake.scenario import load_scenario, sampled_directives
+from tog_drake.stations.simulation import SimulationStation
+
+SCENES = ("Household", "Kitchen", "Tools")
+
+
+def _poses(scenario):
+    models = [d.add_model for d in sampled_directives(scenario) if d.add_model is not None]
+    return {
+        model.name: pose.GetDeterministicValue().GetAsMatrix4()
+        for model in models
+        for pose in model.default_free_body_pose.values()
+    }
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_was_dropped_lies_on_the_table_before_the_robot(name):
+    poses = _poses(load_scenario(name))
+    assert 5 <= len(poses) <= 7
+    for X_WO in poses.values():
+        assert np.all(X_WO[:2, 3] > [0.30, -0.35])  # the origin, beside the centre of mass
+        assert np.all(X_WO[:2, 3] < [0.75, 0.35])
+        assert -0.01 < X_WO[2, 3] < 0.15
+
+
+def test_a_scene_is_drawn_by_its_seed():
+    one = _poses(load_scenario("Tools", "random_seed: 1"))
+    placement._settled.cache_clear()
+    again = _poses(load_scenario("Tools", "random_seed: 1"))
+    other = _poses(load_scenario("Tools", "random_seed: 2"))
+    for model in one:
+        np.testing.assert_array_equal(one[model], again[model])
+        assert not np.allclose(one[model], other[model], atol=1e-3)
+
+
+def test_a_scene_is_still_at_rest_in_the_world_of_the_episode():
+    scenario = load_scenario("Tools")
+    scenario.cameras = {}
+    station = SimulationStation(scenario)
+    context = station.CreateDefaultContext()
+    arm = scenario.initial_position["panda"]
+    station.GetInputPort("panda.position").FixValue(context, list(arm.values()))
+    station.GetInputPort("hand.position").FixValue(context, [0.08])
+    plant = station.plant
+    plant_context = plant.GetMyContextFromRoot(context)
+    bodies = [plant.get_body(index) for index in plant.GetFloatingBaseBodies()]
+    before = [body.EvalPoseInWorld(plant_context).translation() for body in bodies]
+    Simulator(station, context).AdvanceTo(0.3)
+    for body, p_WB in zip(bodies, before, strict=True):
+        moved = body.EvalPoseInWorld(plant_context).translation() - p_WB
+        assert np.linalg.norm(moved) < 0.001
+
+
+def test_objects_that_leave_the_area_are_dropped_anew_and_at_last_refused(monkeypatch):
+    monkeypatch.setattr(placement, "_SCENES", 1)
+    far = load_scenario("Tools", "settle: {lower: [0.0, 1.0], upper: [0.1, 1.1]}")
+    with pytest.raises(InputError, match=r"dropped 1 times, at last axe came to rest at \[0\."):
+        sampled_directives(far)
+
+
+def test_an_object_in_the_way_is_dropped_on(monkeypatch):
+    monkeypatch.setattr(placement, "_DRAWS", 1)
+    pose = "default_free_body_pose: {base: {translation: [0.5, 0, 0.01]}}"
+    file = "file: package://tog_drake/objects/mug/mug.sdf"
+    stack = load_scenario(
+        "Mug",
+        f"""
+directives:
+- add_directives: {{file: package://tog_drake/scenes/table.dmd.yaml}}
+- add_model: {{name: lower, {file}, {pose}}}
+- add_model: {{name: upper, {file}, {pose}}}
+settle: {{}}
+""",
+    )
+    poses = _poses(stack)
+    assert poses["lower"][2, 3] == pytest.approx(0.0, abs=0.002)
+    assert poses["upper"][2, 3] > 0.03
