@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench eval clean
+.PHONY: demo test bench bench-compare eval clean
 
 # Each stamp is an installation; it is redone when what it installs changes.
 $(VENV)/demo.stamp: pyproject.toml constraints.txt
@@ -26,8 +26,17 @@ test: $(VENV)/test.stamp
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
+# Each run is saved under out/bench; `make bench-compare` sets a new one beside the last, or beside
+# the one that it is given: `make bench-compare RUN=0001`.
+BENCH = $(BIN)/python -m pytest tests/benchmarks/bench_stages.py tests/benchmarks/bench_peers.py \
+	--benchmark-storage=out/bench --benchmark-columns=median,iqr,rounds --benchmark-sort=fullname
+
 bench: $(VENV)/test.stamp
-	$(BIN)/python -m pytest tests/benchmarks/bench_stages.py --benchmark-columns=median,iqr,rounds --benchmark-sort=fullname
+	$(BENCH) --benchmark-autosave
+	$(BIN)/python -m pytest tests/benchmarks/bench_planning.py
+
+bench-compare: $(VENV)/test.stamp
+	$(BENCH) --benchmark-compare$(if $(RUN),=$(RUN))
 
 eval: $(VENV)/test.stamp
 	$(BIN)/tog eval --selectors top-score,oracle,geometric --seeds 5 --workers 2 --out out/eval

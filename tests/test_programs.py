@@ -1,5 +1,7 @@
 """The programs and pages that users copy."""
 
+import json
+import subprocess
 import sys
 
 from tog_drake.resources import resource_dir
@@ -19,3 +21,25 @@ def test_the_thirty_line_program_lifts_a_hammer(monkeypatch, capsys):
         world.station.GetMyContextFromRoot(context)
     )
     assert poses[world.station.plant.GetBodyByName("base").index()].translation()[2] > 0.10
+
+
+def test_a_run_needs_less_than_a_gigabyte_and_no_torch(tmp_path):
+    program = f"""
+import json, resource, sys
+from tog_drake.cli import main
+sys.argv = ["tog", "run", "--scenario", "Hammer", "--task", "hand me the hammer",
+            "--out", {str(tmp_path / "out")!r}]
+try:
+    main()
+finally:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    peak *= 1 if sys.platform == "darwin" else 1024
+    print(json.dumps([peak, "torch" in sys.modules]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    peak, torch_is_loaded = json.loads(done.stdout.splitlines()[-1])
+    assert peak < 1e9  # [byte]
+    assert not torch_is_loaded

@@ -29,7 +29,7 @@ CREASE = np.radians(50.0)  # edges sharper than this stay sharp when a mesh is d
 PROXIMITY = """\
         <drake:proximity_properties>
           <drake:compliant_hydroelastic/>
-          <drake:hydroelastic_modulus>1e7</drake:hydroelastic_modulus>
+          <drake:hydroelastic_modulus>5e6</drake:hydroelastic_modulus>
           <drake:mesh_resolution_hint>0.01</drake:mesh_resolution_hint>
           <drake:hunt_crossley_dissipation>1.25</drake:hunt_crossley_dissipation>
           <drake:mu_dynamic>0.8</drake:mu_dynamic>
