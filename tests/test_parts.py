@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.lexicon import LEXICON
+from tog_drake.points import group_means, voxel_numbers
 from tog_drake.selectors.parts import PartNotFound, find_part, rule_of
 
 YAW = st.floats(-np.pi, np.pi)
@@ -103,6 +104,67 @@ def test_an_animals_head_is_high_and_its_tail_tapers(yaw):
         found = find_part(points, part, LEXICON.rules["dinosaur"]).mask
         assert (names[found] == part).mean() > 0.75, part
         assert found.sum() > 0.5 * (names == part).sum(), part
+
+
+def test_a_whisks_handle_ends_at_its_waist_not_where_the_wires_are_half_as_wide():
+    handle = things.box((-0.14, -0.012, 0.004), (0.0, 0.012, 0.026))
+    steps = np.arange(0.0, 0.10, 0.005)
+    wires = [
+        things.box((x, -0.008 - 0.22 * x, 0.004), (x + 0.005, 0.008 + 0.22 * x, 0.03))
+        for x in steps
+    ]
+    end = things.box((0.10, -0.03, 0.004), (0.14, 0.03, 0.03))
+    points = np.vstack([handle, *wires, end])
+    found = find_part(points, "handle", LEXICON.rules["whisk"]).mask
+    assert points[found, 0].max() < 0.01
+    assert found.sum() > 0.8 * len(handle)
+
+
+def test_a_knifes_blade_is_its_flat_end_though_it_is_the_wider_one():
+    handle = things.box((-0.12, -0.012, 0.004), (0.0, 0.012, 0.02))
+    blade = things.box((0.0, -0.018, 0.004), (0.15, 0.018, 0.007))
+    points, truth = np.vstack([handle, blade]), np.repeat([False, True], [len(handle), len(blade)])
+    assert overlap(find_part(points, "blade", LEXICON.rules["knife"]).mask, truth) > 0.85
+    assert overlap(find_part(points, "handle", LEXICON.rules["knife"]).mask, ~truth) > 0.85
+
+
+@pytest.mark.parametrize("voxel", [0.002, 0.003, 0.005])
+def test_a_pots_long_handle_is_no_reason_to_miss_its_body(voxel):
+    body = things.tube(0.033, 0.004, 0.055)
+    handle = things.box((0.033, -0.011, 0.045), (0.15, 0.011, 0.06))
+    points = np.vstack([body, handle])
+    points = group_means(voxel_numbers(points, voxel), points)
+    truth = points[:, 0] > 0.036
+    assert overlap(find_part(points, "handle", LEXICON.rules["pot"]).mask, truth) > 0.85
+    assert overlap(find_part(points, "body", LEXICON.rules["pot"]).mask, ~truth) > 0.85
+
+
+def test_an_umbrellas_tip_is_the_narrow_end_of_its_cloth_and_no_handle():
+    grip = things.box((-0.15, -0.016, 0.004), (-0.06, 0.016, 0.036))
+    cloth = things.box((-0.06, -0.026, 0.004), (0.13, 0.026, 0.056))
+    tip = things.box((0.13, -0.007, 0.02), (0.15, 0.007, 0.034))
+    points = np.vstack([grip, cloth, tip])
+    names = np.repeat(["handle", "body", "tip"], [len(grip), len(cloth), len(tip)])
+    for part in ("handle", "tip"):
+        found = find_part(points, part, LEXICON.rules["umbrella"]).mask
+        assert (names[found] == part).mean() > 0.9, part
+
+
+def test_an_elephants_trunk_is_low_and_thin_before_its_high_head():
+    parts = {
+        "body": things.box((-0.08, -0.035, 0.05), (0.02, 0.035, 0.09)),
+        "leg": things.box((-0.07, -0.03, 0.004), (-0.05, -0.01, 0.05)),
+        "head": things.box((0.02, -0.03, 0.06), (0.065, 0.03, 0.115)),
+        "trunk": things.box((0.065, -0.008, 0.02), (0.12, 0.008, 0.05)),
+    }
+    names = np.repeat(list(parts), [len(p) for p in parts.values()])
+    points = np.vstack(list(parts.values()))
+    for part in parts:
+        found = find_part(points, part, LEXICON.rules["elephant"]).mask
+        assert (names[found] == part).mean() > 0.75, part
+        assert found.sum() > 0.5 * (names == part).sum(), part
+    with pytest.raises(PartNotFound, match="trunk is hidden"):
+        find_part(dinosaur()[0], "trunk", LEXICON.rules["dinosaur"])
 
 
 def test_what_the_shape_does_not_show_is_said():

@@ -165,13 +165,13 @@ def _measures(profile: Profile, rule: Rule, *, upright: bool) -> dict[str, Array
 
 
 def _outer_end(profile: Profile, split: int, *, at_end: bool) -> Mask:
-    """The outer quarter of a portion, or what is beyond its last sudden narrowing."""
-    count = len(profile.width)
-    if not at_end:
-        return np.asarray(profile.bin < max(2, split // 4))
-    stub, contrast = best_split(np.log(profile.width[split:]))
-    stub = stub + split if contrast > MIN_CONTRAST else count
-    return np.asarray(profile.bin >= min(stub, count - max(2, (count - split) // 4)))
+    """The outer end of a portion: what is far narrower than it, else its outer quarter."""
+    width = profile.width[split:] if at_end else profile.width[:split][::-1]
+    wide = np.flatnonzero(width > 0.5 * np.median(width))
+    begin = int(wide.max()) + 1
+    if len(width) - begin < 2:
+        begin = len(width) - max(2, len(width) // 4)
+    return np.asarray(profile.bin >= split + begin if at_end else profile.bin < split - begin)
 
 
 def _vessel_part(points: Array, part: str, rule: Rule) -> Region | None:

@@ -26,7 +26,7 @@ SLACK = 0.015  # relative; what narrows by less from bin to bin is alike
 MIN_NECK = 0.25  # what has a neck narrows at it by this much, in logarithms of width
 CIRCLE_TOLERANCE = 0.004  # [m]
 CIRCLE_RADIUS = (0.02, 0.10)  # [m] of a round body
-MIN_EXPLAINED = 0.2  # of the silhouette is round: the rest may be a long handle
+MIN_EXPLAINED = 0.15  # of the silhouette is round: the rest may be a long handle
 SECTORS = 24  # of a circle
 MIN_SEEN = 0.55  # of the sectors of a round body
 HYPOTHESES = 600  # circles tried
@@ -179,7 +179,8 @@ def round_body(points: Array) -> Circle | None:
     centre, radius = centre[keep], radius[keep]
     off = np.linalg.norm(cells[None] - centre[:, None], axis=2) - radius[:, None]
     on = (np.abs(off) < CIRCLE_TOLERANCE).sum(axis=1)
-    best = int(np.argmax(on))
+    # A long arc through handle and rim must not outvote a full, smaller circle.
+    best = int(np.argmax(on * np.minimum(on * CELL / (2 * np.pi * radius), 1.0)))
     on_best = cells[np.abs(off[best]) < CIRCLE_TOLERANCE] - centre[best]
     sector = np.floor(np.arctan2(on_best[:, 1], on_best[:, 0]) / (2 * np.pi) * SECTORS) % SECTORS
     seen = len(np.unique(sector)) / SECTORS
