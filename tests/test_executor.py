@@ -7,6 +7,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.executor import ExecutorConfig, GraspExecutor, Phase
+from tog_drake.panda import A_MAX, V_MAX
 from tog_drake.values import GraspMotion, Grasps
 
 Q_NOW = np.linspace(-0.3, 0.3, 7)
@@ -86,7 +87,13 @@ def test_first_command_is_the_measured_position_before_any_update():
     _, executor, context, _, _ = _world()
     arm, hand = _commands(executor, context)
     np.testing.assert_array_equal(arm, Q_NOW)
-    assert hand == pytest.approx(0.08)
+    assert hand == HELD
+
+
+def test_it_looks_with_an_open_hand():
+    simulator, executor, context, _, _ = _world()
+    simulator.AdvanceTo(0.05)
+    assert _commands(executor, context)[1] == pytest.approx(0.08)
 
 
 def test_it_stands_still_and_asks_for_no_motion_until_the_look():
@@ -128,10 +135,25 @@ def test_an_arm_that_does_not_follow_is_stopped_where_it_is():
     simulator, executor, context, _, arm = _world(
         ExecutorConfig(look_time=0.1, max_tracking_error=0.05)
     )
-    simulator.AdvanceTo(0.6)  # the arm of this test never moves
+    simulator.AdvanceTo(2.0)  # the arm of this test never moves
     state = executor.state(context)
     assert state.phase is Phase.FAILED
-    np.testing.assert_array_equal(_commands(executor, context)[0], arm.position)
+    np.testing.assert_allclose(_commands(executor, context)[0], arm.position, atol=1e-12)
+
+
+def test_a_stop_is_no_jump_of_the_command():
+    simulator, executor, context, _, _ = _world(
+        ExecutorConfig(look_time=0.1, max_tracking_error=0.05)
+    )
+    q = []
+    for t in np.arange(0.2, 1.5, 0.001):
+        simulator.AdvanceTo(t)
+        q.append(_commands(executor, context)[0])
+    velocity = np.diff(q, axis=0) / 0.001
+    acceleration = np.diff(velocity, axis=0) / 0.001
+    assert executor.state(context).phase is Phase.FAILED
+    assert (np.abs(velocity) < 1.01 * V_MAX).all()
+    assert (np.abs(acceleration) < 1.01 * A_MAX).all()
 
 
 def test_an_error_of_a_stage_reaches_the_caller_unchanged():

@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError, NoPlan
-from tog_drake.time_parameterization import JointLimits, SplineConfig, optimize_spline, rest_to_rest
+from tog_drake.time_parameterization import (
+    JointLimits,
+    SplineConfig,
+    come_to_rest,
+    optimize_spline,
+    rest_to_rest,
+)
 
 ONES = np.ones(7)
 LIMITS = JointLimits(-3 * ONES, 3 * ONES, 2 * ONES, 10 * ONES, 5000 * ONES)
@@ -145,3 +151,17 @@ def test_a_solution_that_is_not_finite_is_refused_before_it_is_evaluated(monkeyp
 def test_a_spline_that_cannot_rest_at_its_ends_is_refused(config):
     with pytest.raises(InputError, match="8 control points or more"):
         optimize_spline(line(1.0), LIMITS, everything_is_far, 0.01, config)
+
+
+def test_a_stop_goes_on_smoothly_from_the_motion_and_ends_at_rest_inside_the_limits():
+    velocity, acceleration = np.linspace(-2, 1, 7), np.linspace(3, -5, 7)
+    stop = come_to_rest(ONES, velocity, acceleration, 0.9 * ONES, LIMITS)
+    h = 1e-3
+    q = np.array([stop(t) for t in np.arange(0.0, 2.0, h)])
+    first, second, third = (np.diff(q, n, axis=0) / h**n for n in (1, 2, 3))
+    np.testing.assert_allclose(q[0], ONES)
+    np.testing.assert_allclose(first[0], velocity, atol=0.01)
+    np.testing.assert_allclose(second[0], acceleration, atol=0.2)
+    np.testing.assert_array_equal(q[-2:], 0.9)
+    for rate, limit in zip((first, second, third), LIMITS.rates(), strict=True):
+        assert (np.abs(rate) < 1.01 * limit).all()

@@ -1,5 +1,6 @@
 """The one stage with state: it looks, stands still while it thinks, moves, and may try again."""
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from enum import Enum
@@ -7,9 +8,11 @@ from enum import Enum
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.trajectories import Trajectory
 
 from tog_drake.errors import InputError, NoPlan
-from tog_drake.panda import MAX_OPENING
+from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
+from tog_drake.time_parameterization import JointLimits, come_to_rest
 from tog_drake.values import Array, GraspMotion, Grasps
 
 
@@ -31,7 +34,7 @@ class Phase(Enum):
     MOVE = "move"  # playing the motion
     RETREAT = "retreat"  # it held nothing: back to where the motion began, to look again
     DONE = "done"  # holding its end
-    FAILED = "failed"  # holding where the arm was stopped
+    FAILED = "failed"  # stopping, then holding where the arm no longer followed
 
 
 _PLAYING = (Phase.MOVE, Phase.RETREAT)
@@ -43,11 +46,12 @@ class ExecutorState:
 
     phase: Phase = Phase.OBSERVE
     q_hold: Array | None = None  # (7,) [rad] posture held outside MOVE; None before first update
-    opening_hold: float = MAX_OPENING  # [m]
+    opening_hold: float | None = None  # [m] likewise of the hand
     motion: GraspMotion | None = None  # of the last look
     start_time: float = 0.0  # [s] of the motion, in the time of the Context
     look_at: float = 0.0  # [s] of the next look in OBSERVE, of the last one afterwards
     attempt: int = 1
+    stop: Callable[[float], Array] | None = None  # commanded in FAILED, from time [s] to (7,) [rad]
     opening_after: float | None = None  # [m] measured at the end of the last motion
 
 
@@ -66,12 +70,12 @@ class GraspExecutor(LeafSystem):
         - hand.position
         - failed_grasps
 
-    Before the first update the measured position passes straight through, so that the first
-    command never moves the arm. At ``look_time`` the update evaluates ``motion`` **once**, which
-    runs the whole chain, and latches it. Deciding may take seconds of wall time, after which a
-    simulator that chases real time bursts ahead; therefore the motion's start is stamped by the
-    *next* update (READY), never by the one that planned. An error raised by a stage reaches the
-    caller of ``AdvanceTo`` unchanged.
+    Before the first update the measured positions pass straight through, so that the first command
+    moves neither arm nor hand; then the hand opens. At ``look_time`` the update evaluates
+    ``motion`` **once**, which runs the whole chain, and latches it. Deciding may take seconds of
+    wall time, after which a simulator that chases real time bursts ahead; therefore the motion's
+    start is stamped by the *next* update (READY), never by the one that planned. An error raised by
+    a stage reaches the caller of ``AdvanceTo`` unchanged.
 
     That a grasp failed is told by the hand alone: after the hold its fingers have closed on almost
     nothing. Then, ``retries`` times at most, the arm goes back to where the motion began, looks
@@ -112,7 +116,7 @@ class GraspExecutor(LeafSystem):
             "hand.position",
             1,
             self._CalcHand,
-            prerequisites_of_calc={state_ticket, self.time_ticket()},
+            prerequisites_of_calc={state_ticket, self.time_ticket(), self._hand.ticket()},
         )
         self.DeclareAbstractOutputPort(
             "failed_grasps",
@@ -152,7 +156,7 @@ class GraspExecutor(LeafSystem):
     def _next(self, s: ExecutorState, context: Context) -> ExecutorState:
         t = context.get_time()
         if s.q_hold is None:
-            s = replace(s, q_hold=self._measured.Eval(context).copy())
+            s = replace(s, q_hold=self._measured.Eval(context).copy(), opening_hold=MAX_OPENING)
         if s.phase is Phase.OBSERVE and t >= s.look_at:
             motion = deepcopy(self._motion.Eval(context))
             self._require_start(motion, self._measured.Eval(context))
@@ -179,8 +183,10 @@ class GraspExecutor(LeafSystem):
         if not np.abs(commanded - q_measured).max() <= self._config.max_tracking_error:
             # Where a measurement is NaN, the command stays: NaN must never become one.
             q_hold = np.where(np.isfinite(q_measured), q_measured, commanded)
-            # The hand keeps what it holds; opening it would drop the object.
-            return replace(_holding(s, played, elapsed), phase=Phase.FAILED, q_hold=q_hold)
+            # A command that jumped there would itself break the limits of a real arm. The hand
+            # keeps what it holds; opening it would drop the object.
+            stop = _stop(played.arm, elapsed, q_hold, t)
+            return replace(_holding(s, played, elapsed), phase=Phase.FAILED, stop=stop)
         if elapsed < played.duration:
             return s
         s = _holding(s, played, played.duration)
@@ -204,6 +210,8 @@ class GraspExecutor(LeafSystem):
         if s.phase in _PLAYING:
             played, elapsed = _played(s, context.get_time())
             output.SetFromVector(played.arm.value(elapsed).ravel())
+        elif s.stop is not None:
+            output.SetFromVector(s.stop(context.get_time()))
         elif s.q_hold is not None:
             output.SetFromVector(s.q_hold)
         else:
@@ -211,11 +219,13 @@ class GraspExecutor(LeafSystem):
 
     def _CalcHand(self, context: Context, output: BasicVector) -> None:
         s = self.state(context)
-        opening = s.opening_hold
         if s.phase in _PLAYING:
             played, elapsed = _played(s, context.get_time())
-            opening = float(played.hand.value(elapsed).item())
-        output.SetAtIndex(0, opening)
+            output.SetAtIndex(0, float(played.hand.value(elapsed).item()))
+        elif s.opening_hold is not None:
+            output.SetAtIndex(0, s.opening_hold)
+        else:
+            output.SetAtIndex(0, float(self._hand.Eval(context)[0]))
 
     def _CalcFailed(self, context: Context, output: Value) -> None:
         output.set_value(context.get_abstract_state(int(self._failed)).get_value())
@@ -240,6 +250,14 @@ def _holding(s: ExecutorState, motion: GraspMotion, elapsed: float) -> ExecutorS
         q_hold=motion.arm.value(elapsed).ravel(),
         opening_hold=float(motion.hand.value(elapsed).item()),
     )
+
+
+def _stop(arm: Trajectory, elapsed: float, q_end: Array, now: float) -> Callable[[float], Array]:
+    """Returns the command from ``now`` [s] on: from the motion at ``elapsed`` [s] to q_end (7,)."""
+    q, velocity, acceleration = (arm.EvalDerivative(elapsed, n).ravel() for n in range(3))
+    limits = JointLimits(Q_LOWER, Q_UPPER, V_MAX, A_MAX, J_MAX)
+    stop = come_to_rest(q, velocity, acceleration, q_end, limits)
+    return lambda t: stop(t - now)
 
 
 def _appended(grasps: Grasps, more: Grasps) -> Grasps:

@@ -1,9 +1,10 @@
-"""Two ways to put a joint path in time, both inside limits up to the jerk.
+"""Ways to put a joint path in time, all inside limits up to the jerk.
 
 - ``rest_to_rest`` follows a path exactly, in closed form: for the short straight lines of approach
   and lift, and as the last resort for any other.
 - ``optimize_spline`` finds the fastest spline near a path that keeps its distance from what may
   not be touched: for the long way to the grasp.
+- ``come_to_rest`` leaves the path and stops: for an arm that does not follow.
 """
 
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from pydrake.planning import KinematicTrajectoryOptimization
 from pydrake.polynomial import Polynomial
 from pydrake.solvers import MathematicalProgramResult, SnoptSolver, SolverOptions
 from pydrake.trajectories import BsplineTrajectory, PathParameterizedTrajectory, PiecewisePolynomial
+from scipy.interpolate import BPoly
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.values import Array
@@ -83,6 +85,34 @@ def rest_to_rest(
     time_scaling = PiecewisePolynomial([Polynomial(coefficients)], [0.0, duration])
     time_scaling.shiftRight(start_time)
     return PathParameterizedTrajectory(spline, time_scaling)
+
+
+def come_to_rest(
+    q: Array, velocity: Array, acceleration: Array, q_end: Array, limits: JointLimits
+) -> Callable[[float], Array]:
+    """Returns the fastest quintic from a moving state to rest, inside the limits.
+
+    Args:
+        q, velocity, acceleration: (7,) [rad, s] at time 0.
+        q_end: (7,) [rad] where it rests, from the end of the quintic on.
+        limits: of the joints; those of the position are not looked at.
+    """
+    # Where it is too fast already it can only become slower.
+    v, a, j = limits.rates()
+    most = (np.maximum(v, np.abs(velocity)), np.maximum(a, np.abs(acceleration)), j)
+    at_rest = np.zeros_like(q)
+    duration, inside = 0.02, False  # [s]
+    while not inside:
+        duration *= 1.1
+        quintic = BPoly.from_derivatives(
+            [0.0, duration], [[q, velocity, acceleration], [q_end, at_rest, at_rest]]
+        )
+        times = np.linspace(0, duration, 100)
+        inside = all(
+            (np.abs(quintic.derivative(n)(times)) <= (1 + 1e-9) * limit).all()
+            for n, limit in enumerate(most, 1)
+        )
+    return lambda t: np.asarray(quintic(min(t, duration)))
 
 
 @dataclass
