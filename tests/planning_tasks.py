@@ -10,7 +10,7 @@ from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoPlan
 from tog_drake.feasibility import FeasibilityConfig, feasible_grasps
 from tog_drake.obstacles import Obstacles
-from tog_drake.panda import MAX_OPENING
+from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
 from tog_drake.planning_model import PlanningModel
 from tog_drake.scenario import LOOK_POSTURE
 from tog_drake.selector import choose
@@ -45,6 +45,7 @@ def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[Plannin
         cloud = _cloud(boxes)
         obstacles = Obstacles(planning_model, DistanceField(cloud.xyzs().T), MAX_OPENING)
         q_now = np.array(LOOK_POSTURE) + rng.uniform(-0.3, 0.3, 7)
+        q_now = np.clip(q_now, Q_LOWER + 0.02, Q_UPPER - 0.02)
         if not _is_free(obstacles, q_now):
             continue
         try:

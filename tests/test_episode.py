@@ -194,6 +194,7 @@ def test_an_object_can_be_named_by_what_it_is():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("workspace: {table_height: 0.03}", r"table_height is 0\.03 m.* 80 mm away"),
         ("executor: {period: 0}", r"period \(0.*must be above 0"),
         ("workspace: {lower: [1, 2]}", "three numbers each"),
         ("workspace: {lower: [1, 0, 0], upper: [0, 1, 1]}", "every lower below its upper"),

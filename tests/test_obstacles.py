@@ -12,7 +12,6 @@ from tog_drake.obstacles import Obstacles
 from tog_drake.planning_model import MakePlanningModel
 
 Q_LOOK = np.array([0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853])
-STEP = 0.01
 
 
 @cache
@@ -88,9 +87,9 @@ def test_a_thin_pole_in_the_way_is_found_between_the_ends():
     with pytest.raises(
         NoPlan, match=r"the way is not free 0\.\d+ s .* what the camera saw"
     ) as error:
-        scene(*pole).check(line(Q_LOOK, q_to), "the way", STEP)
+        scene(*pole).check(line(Q_LOOK, q_to), "the way")
     assert "panda_" in str(error.value)
-    scene().check(line(Q_LOOK, q_to), "the way", STEP)
+    scene().check(line(Q_LOOK, q_to), "the way")
 
 
 def test_points_between_the_open_fingers_are_free():
@@ -103,7 +102,7 @@ def test_the_table_is_named_when_it_is_hit():
         NoPlan,
         match=r"panda_rightfinger and table come nearer to each other than is safe, by \d+ mm",
     ):
-        scene().check(line(Q_LOOK, in_table), "the way", STEP)
+        scene().check(line(Q_LOOK, in_table), "the way")
 
 
 def test_a_posture_in_contact_is_refused_with_its_remedy():

@@ -20,6 +20,7 @@ from tog_drake.path_planning import straight_line
 from tog_drake.planning_model import MakePlanningModel
 from tog_drake.time_parameterization import SplineConfig, rest_to_rest
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer, _limits, plan_motion
+from tog_drake.transfer import TransferConfig
 from tog_drake.values import Candidates, Choice, FeasibleGrasps
 
 Q_LOOK = np.array([0.0, -0.9564, 0.0, -2.7824, 0.0, 2.2558, 0.7853])
@@ -249,7 +250,7 @@ def test_the_cloud_may_be_empty():
 
 
 def test_where_no_spline_is_found_the_arm_stops_at_the_corners_of_the_path_and_says_so():
-    hurried = TrajectoryConfig(spline=SplineConfig(major_iterations=1))
+    hurried = TrajectoryConfig(transfer=TransferConfig(spline=SplineConfig(major_iterations=1)))
     motion = plan(config=hurried)
     assert motion.note.startswith("with stops, since 5 attempts to optimise failed")
     assert motion.phase_times["approach"] > motion_over_the_wall().phase_times["approach"]
@@ -334,10 +335,10 @@ def test_a_motion_that_breaks_a_limit_is_refused_whoever_made_it(monkeypatch):
 
 
 def test_the_configuration_can_be_written_in_yaml():
-    text = "{speed: 0.3, hold_time: 3.0, spline: {control_points: 14}}"
+    text = "{speed: 0.3, hold_time: 3.0, transfer: {spline: {control_points: 14}}}"
     config = yaml_load_typed(schema=TrajectoryConfig, data=text, defaults=TrajectoryConfig())
     assert config == TrajectoryConfig(
-        speed=0.3, hold_time=3.0, spline=SplineConfig(control_points=14)
+        speed=0.3, hold_time=3.0, transfer=TransferConfig(spline=SplineConfig(control_points=14))
     )
 
 

@@ -13,6 +13,10 @@ from tog_drake.panda import MAX_OPENING, link_frames
 from tog_drake.planning_model import BASE_LINK, PlanningModel, is_arm
 from tog_drake.values import Array
 
+CHECK_STEP = 0.01
+"""[rad] between the configurations at which a trajectory is checked: turning the first joint so far
+moves the outstretched hand by 9 mm, and what lies between two checks by less than the 5 mm of
+``planning_model.MARGIN``."""
 _NEAR = 0.05  # [m] bodies farther apart than this do not explain a collision
 
 
@@ -64,7 +68,6 @@ class Obstacles:
         self,
         segment: Trajectory,
         what: str,
-        step: float,
         *,
         with_hand: bool = True,
         hand_margin: bool = False,
@@ -74,11 +77,10 @@ class Obstacles:
         Args:
             segment: of the arm.
             what: the segment is, for a person.
-            step: largest change of any joint between two configurations [rad].
             with_hand: whether the hand, too, must not touch the cloud.
             hand_margin: see ``PlanningModel.check_configs``.
         """
-        times, q = _dense(segment, step)
+        times, q = _dense(segment, CHECK_STEP)
         reason = self._touches(q, with_hand, hand_margin)
         if reason is not None:
             raise NoPlan(

@@ -45,6 +45,8 @@ SELECTORS: dict[str, type[SelectorConfig]] = {
 }
 PROPOSERS: dict[str, type[Antipodal]] = {"antipodal": Antipodal}
 
+_TABLE_TOLERANCE = 0.002  # [m]
+
 # The stages' ports in the order of the data: each can be evaluated, timed and drawn by itself.
 STAGE_PORTS = (
     "view",
@@ -121,6 +123,7 @@ class GraspPipeline(Diagram):
     ):
         super().__init__()
         _check_workspace(config.workspace)
+        _check_table(config.workspace, planning_model)
         self.executor = GraspExecutor(config.executor, retries=config.retries)
         stages: dict[str, LeafSystem] = {
             "camera": Camera(intrinsics),
@@ -181,6 +184,20 @@ def _check_workspace(workspace: Workspace) -> None:
         raise InputError(
             f"workspace: lower {lower} and upper {upper} must be three numbers each [m], every "
             "lower below its upper"
+        )
+
+
+def _check_table(workspace: Workspace, planning_model: PlanningModel) -> None:
+    """Raises InputError unless the table that the planner avoids is where grasps expect it."""
+    above = 0.05  # [m]
+    x, y = (np.add(workspace.lower, workspace.upper) / 2)[:2]
+    height = workspace.table_height
+    distance = planning_model.world_distance(np.array([x, y, height + above]))
+    if abs(distance - above) > _TABLE_TOLERANCE:
+        raise InputError(
+            f"workspace.table_height is {height} m, but {1e3 * above:.0f} mm above it, at "
+            f"({x:.2f}, {y:.2f}) m, the nearest thing in planning_directives is "
+            f"{1e3 * distance:.0f} mm away: give both the same table"
         )
 
 

@@ -91,6 +91,18 @@ class PlanningModel:
                 free[i] = False
         return free
 
+    def world_distance(self, p_W: Array) -> float:
+        """Returns how far the point p_W (3,) is from the known world [m]; inf beyond 1 m."""
+        context, scene_graph = self.diagram.CreateDefaultContext(), self.diagram.scene_graph()
+        query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
+        robot = {
+            geometry
+            for body in _robot_bodies(self.plant)
+            for geometry in self.plant.GetCollisionGeometriesForBody(body)
+        }
+        near = query.ComputeSignedDistanceToPoint(p_W, 1.0)
+        return min((found.distance for found in near if found.id_G not in robot), default=np.inf)
+
     def X_WH(self, q: Array) -> Array:
         """Returns the pose of the hand body at q (..., 7): (..., 4, 4)."""
         X_WH: Array = self.X_WL0 @ link_frames(q)[..., 8, :, :]

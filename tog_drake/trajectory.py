@@ -1,7 +1,6 @@
 """From a choice to a motion: look posture → pregrasp → grasp → close → lift → hold."""
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from pydrake.common.value import Value
@@ -13,38 +12,26 @@ from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
-from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.planning_model import PlanningModel
-from tog_drake.time_parameterization import (
-    PEAK_SPEED,
-    JointLimits,
-    SplineConfig,
-    optimize_spline,
-    rest_to_rest,
-)
+from tog_drake.time_parameterization import PEAK_SPEED, JointLimits, rest_to_rest
+from tog_drake.transfer import TransferConfig, plan_transfer
 from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, GraspMotion
 
 _RATES = ("velocity", "acceleration", "jerk")
 _LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
 _POSTURE_TOLERANCE = 0.01  # [rad] by which a measured posture may pass a position limit
-_ROUNDING = 1e-6  # [m]
 _TOLERANCE = 1e-3  # part of a limit that rounding may take more
 
 
 @dataclass
 class TrajectoryConfig:
-    """How fast the arm moves, and how far it stays from what it sees."""
+    """How fast the arm moves, and how the hand closes."""
 
     speed: float = 0.6  # of the fastest; 0.5 takes twice as long (acceleration ¼, jerk ⅛)
     approach_speed: float = 0.15  # [m/s] of the hand, at most, on the straight way to the grasp
     lift_speed: float = 0.25  # [m/s] of the hand, at most, on the straight way up
     position_margin: float = 0.02  # [rad] kept from the joints' position limits
-    clearance: float = 0.01  # [m] from the cloud that is planned for on the way to the pregrasp
-    spline: SplineConfig = field(default_factory=SplineConfig)
-    path_step: float = 0.05  # [rad] between checked configurations of a path
-    shortcuts: int = 30  # tried on a path that is not straight
-    attempts: int = 5  # paths and splines tried before the arm is sent along a path with stops
-    check_step: float = 0.01  # [rad] between checked configurations of the motion
+    transfer: TransferConfig = field(default_factory=TransferConfig)
     closed: float = -0.02  # [m] commanded opening: beyond contact, so that the hand presses
     closing_speed: float = 0.1  # [m/s] of the commanded opening
     settle_time: float = 0.2  # [s] of standing still with the hand closed, before the lift
@@ -127,14 +114,16 @@ def _plan_grasp(
 
     obstacles.require_free(q_approach[0], "the pregrasp posture", "choose another grasp")
     way = "the way to the pregrasp"
-    transfer, note = _transfer(q_now, q_approach[0], way, obstacles, limits, config, seed)
+    transfer, note = plan_transfer(
+        q_now, q_approach[0], way, obstacles, limits, config.transfer, seed
+    )
     t = transfer.end_time()
     approach = _straight(q_approach, config.approach_speed, planning_model, limits, t)
-    obstacles.check(approach, "the approach", config.check_step, with_hand=False)
+    obstacles.check(approach, "the approach", with_hand=False)
     t_close = approach.end_time()
     t_lift = t_close + (opening - config.closed) / config.closing_speed + config.settle_time
     lift = _straight(q_lift, config.lift_speed, planning_model, limits, t_lift)
-    obstacles.check(lift, "the lift", config.check_step, with_hand=False)
+    obstacles.check(lift, "the lift", with_hand=False)
     t_hold = lift.end_time()
     end = t_hold + config.hold_time
 
@@ -166,7 +155,9 @@ def _with_retreat(
     obstacles = replace(obstacles, opening=MAX_OPENING)
     try:
         obstacles.require_free(q_from, "the posture after the lift", "choose another grasp")
-        way, note = _transfer(q_from, q_to, "the way back", obstacles, limits, config, seed)
+        way, note = plan_transfer(
+            q_from, q_to, "the way back", obstacles, limits, config.transfer, seed
+        )
     except NoPlan as error:
         return replace(motion, note=f"{motion.note}; no way back: {error}")
     t = (MAX_OPENING - config.closed) / config.closing_speed
@@ -221,68 +212,6 @@ def _straight(
 
 def _still(q: Array, start: float, end: float) -> Trajectory:
     return PiecewisePolynomial.FirstOrderHold([start, end], np.stack([q, q], axis=1))
-
-
-def _transfer(
-    q_from: Array,
-    q_to: Array,
-    what: str,
-    obstacles: Obstacles,
-    limits: JointLimits,
-    config: TrajectoryConfig,
-    seed: int,
-) -> tuple[Trajectory, str]:
-    """Returns a way between two free postures, checked, and how it was found."""
-    ends = np.stack([q_from, q_to])
-    # Where an end itself is nearer to something, no more than that can be asked of the way.
-    clearance = min(config.clearance, float(obstacles.cloud_clearance(ends).min()) - _ROUNDING)
-    hand_margin = obstacles.count_free(ends, clearance, hand_margin=True) == len(ends)
-
-    def count_free(q: Array) -> int:
-        return obstacles.count_free(q, clearance, hand_margin=hand_margin)
-
-    def check(way: Trajectory) -> None:
-        obstacles.check(way, what, config.check_step, hand_margin=hand_margin)
-
-    rng = np.random.default_rng(seed)
-    step, path, failure = config.path_step, None, ""
-    for attempt in range(config.attempts):
-        spread = 1.0 + attempt  # [rad] beyond the ends: first look for paths that stay near
-        lower = np.maximum(limits.lower, ends.min(axis=0) - spread)
-        upper = np.minimum(limits.upper, ends.max(axis=0) + spread)
-        # The optimisation does not know the robot itself nor the known world: where that fails the
-        # check, it is held ever closer to the path, which does.
-        leeway = np.inf if attempt == 0 else 0.4 / 2**attempt  # [rad]
-        try:
-            path = find_path(q_from, q_to, count_free, lower, upper, rng, step=step)
-            path = shortcut(path, count_free, rng, step=step, attempts=config.shortcuts)
-            spline = optimize_spline(
-                path,
-                limits,
-                obstacles.cloud_clearance_and_gradient,
-                clearance,
-                config.spline,
-                leeway,
-            )
-            check(spline)
-            return spline, f"optimised, attempt {attempt + 1}"
-        except NoPlan as error:
-            if path is None:
-                raise
-            failure = str(error)
-    assert path is not None
-    stops = _with_stops(corners(path), limits)
-    check(stops)
-    return stops, f"with stops, since {config.attempts} attempts to optimise failed: {failure}"
-
-
-def _with_stops(path: Array, limits: JointLimits) -> Trajectory:
-    """Follows straight lines exactly, at rest at every corner: slow, but as safe as the path."""
-    segments: list[Trajectory] = []
-    for line in pairwise(path):
-        start = segments[-1].end_time() if segments else 0.0
-        segments.append(rest_to_rest(np.stack(line), limits, start))
-    return CompositeTrajectory(segments)
 
 
 def _check_limits(arm: Trajectory, q_now: Array, limits: JointLimits) -> None:
