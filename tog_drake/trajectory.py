@@ -10,6 +10,7 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
+from tog_drake.lift_clearance import first_met
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
 from tog_drake.planning_model import PlanningModel
@@ -54,8 +55,9 @@ def plan_motion(
     The hand opens while the arm goes to the pregrasp by the fastest clear spline that is found;
     then come the straight approach, closing, the straight lift and a hold. The segments meet at
     rest. Every segment is checked densely against itself, the known world and the cloud, and
-    against all limits, before it is returned. On approach and lift the hand is not checked against
-    the cloud: it is there to touch it, and what it may touch was decided with the grasp.
+    against all limits, before it is returned. On the approach the hand is not checked against the
+    cloud: it is there to touch it, and what it may touch was decided with the grasp. While it
+    closes and on the lift, it must meet nothing but what it holds.
 
     Args:
         choice: which of the grasps, and which others instead.
@@ -81,23 +83,42 @@ def plan_motion(
         )
     _require_plausible(q_now)
     points = np.asarray(cloud.xyzs().T, dtype=float)
-    field = DistanceField(points[np.isfinite(points).all(axis=1)])
+    points = points[np.isfinite(points).all(axis=1)]
+    field = DistanceField(points)
     failures: list[str] = []
     for row in (choice.index, *choice.alternatives):
         opening = float(arrival_opening(grasps.width[row]))
         obstacles = Obstacles(planning_model, field, opening)
         obstacles.require_free(q_now, "the arm's present posture", "move the arm away by hand")
+        grasp = grasps.take(np.array([row]))
         try:
+            obstacles.require_free(
+                grasp.q_pregrasp[0], "the pregrasp posture", "choose another grasp"
+            )
+            _require_clear_lift(grasp, points, obstacles)
             motion = _plan_grasp(
-                grasps.q_approach[row], grasps.q_lift[row], q_now, obstacles, config, seed
+                grasp.q_approach[0], grasp.q_lift[0], q_now, obstacles, config, seed
             )
         except NoPlan as error:
             failures.append(f"grasp {row}: {error}")
             continue
         note = motion.note + (", in place of " if failures else "") + "; ".join(failures)
-        motion = replace(motion, grasp_index=row, grasp=grasps.take(np.array([row])), note=note)
+        motion = replace(motion, grasp_index=row, grasp=grasp, note=note)
         return _with_retreat(motion, obstacles, config, seed) if with_retreat else motion
     raise NoPlan("; ".join(failures))
+
+
+def _require_clear_lift(grasp: FeasibleGrasps, points: Array, obstacles: Obstacles) -> None:
+    """Raises NoPlan if the hand would meet more than the thing that it holds (``grasp``: N = 1)."""
+    X_WG = obstacles.planning_model.X_WG(grasp.q_lift[0])
+    width = float(grasp.width[0])
+    row = first_met(X_WG, width, obstacles.opening, grasp.p_WContact[0], points)
+    if row is not None:
+        when = f"{1e3 * (X_WG[row, 2, 3] - X_WG[0, 2, 3]):.0f} mm up" if row else "as it closes"
+        raise NoPlan(
+            f"the lift is not free: the hand would meet another thing {when}; choose another grasp "
+            "or clear the scene"
+        )
 
 
 def _plan_grasp(
@@ -112,7 +133,6 @@ def _plan_grasp(
     limits = _limits(config, q_now, np.vstack([q_approach, q_lift]))
     planning_model, opening = obstacles.planning_model, obstacles.opening
 
-    obstacles.require_free(q_approach[0], "the pregrasp posture", "choose another grasp")
     way = "the way to the pregrasp"
     transfer, note = plan_transfer(
         q_now, q_approach[0], way, obstacles, limits, config.transfer, seed
