@@ -9,6 +9,7 @@ from pydrake.perception import PointCloud
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoPlan
 from tog_drake.feasibility import FeasibilityConfig, feasible_grasps
+from tog_drake.lift_clearance import first_met
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
 from tog_drake.planning_model import PlanningModel
@@ -38,7 +39,7 @@ class PlanningTask:
 
 
 def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[PlanningTask]:
-    """Yields tasks without end, up to two of a scene; start and pregrasp are free."""
+    """Yields tasks without end, up to two of a scene; start, pregrasp and lift are free."""
     rng = np.random.default_rng(seed)
     while True:
         boxes, grasps = _scene(rng)
@@ -55,7 +56,10 @@ def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[Plannin
         zeros = np.zeros(len(feasible), np.int64)
         candidates = Candidates(feasible, zeros[:1], zeros)
         for row in rng.permutation(len(feasible))[:2]:
-            if _is_free(obstacles, feasible.q_pregrasp[row]):
+            X_WG = planning_model.X_WG(feasible.q_lift[row])
+            width, p_WContact = float(feasible.width[row]), feasible.p_WContact[row]
+            met = first_met(X_WG, width, MAX_OPENING, p_WContact, cloud.xyzs().T)
+            if met is None and _is_free(obstacles, feasible.q_pregrasp[row]):
                 choice = choose(int(row), View.empty(), candidates, "drawn at random")
                 yield PlanningTask(q_now, boxes, cloud, candidates, choice)
 
