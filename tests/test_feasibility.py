@@ -9,12 +9,14 @@ from pydrake.common.yaml import yaml_load_typed
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectivesFromString
 from pydrake.perception import PointCloud
+from tabletop import RED, TABLE, look
 
 from tog_drake.errors import NoFeasibleGrasp, NoGrasp
 from tog_drake.feasibility import REASONS, FeasibilityConfig, FeasibilityFilter, feasible_grasps
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
 from tog_drake.planning_model import MakePlanningModel
-from tog_drake.values import FeasibleGrasps, Grasps, Workspace
+from tog_drake.values import FeasibleGrasps, Grasps, View, Workspace
+from tog_drake.visibility import hidden_share
 
 CONFIG = FeasibilityConfig()
 Q_NOW = np.array([0.0, -0.2, 0.0, -2.0, 0.0, 1.8, 0.785])
@@ -139,6 +141,21 @@ def test_a_shelf_that_only_the_backed_off_hand_meets_is_a_hand_collision():
     # With less backing off, it is above the hand's boxes.
     lower = make_cloud(([0.47, -0.05, 0.29], [0.53, 0.05, 0.30]))
     assert only_reason(grasp, lower, FeasibilityConfig(pregrasp_distance=0.02)) != "hand_collision"
+
+
+def test_a_finger_behind_the_one_face_that_was_seen_of_something_is_hidden():
+    view = look([TABLE, ((0.45, -0.03, 0.0), (0.55, 0.03, 0.1), RED)], eye=(0.1, 0.0, 0.15))
+    # From the side, across the seen face as if it were a sheet: a finger would enter the block.
+    sheet = pose([0.455, 0.02, 0.06], [0.0, -1.0, -0.3], (1.0, 0.0, 0.0))
+    across = pose([0.50, 0.0, 0.09])
+    X_WG, width = np.array([sheet, across]), np.array([0.01, 0.06])
+    share = hidden_share(X_WG, width + 0.02, view)
+    assert share[0] > 0.5
+    assert share[1] < 0.2
+    grasps = Grasps(X_WG, width, np.ones(2), X_WG[:, :3, 3])
+    kept = feasible_grasps(grasps, make_cloud(), Q_NOW, planning_model(), CONFIG, view=view)
+    assert kept.rejected["hidden"] == 1
+    np.testing.assert_array_equal(kept.width, [0.06])
 
 
 def test_an_object_wider_than_the_hand_opens_is_a_hand_collision():
@@ -307,6 +324,7 @@ def test_the_system_outputs_the_feasible_grasps_and_computes_them_once():
     grasps, cloud = make_grasps(pose([0.5, 0.0, 0.05]), pose([1.2, 0.0, 0.1])), make_cloud(HANDLE)
     system.GetInputPort("grasps").FixValue(context, Value(grasps))
     system.GetInputPort("cloud").FixValue(context, Value(cloud))
+    system.GetInputPort("view").FixValue(context, Value(View.empty()))
     system.GetInputPort("panda.position_measured").FixValue(context, Q_NOW)
     system.GetInputPort("failed_grasps").FixValue(context, Value(Grasps.empty()))
     port = system.GetOutputPort("feasible_grasps")
@@ -322,6 +340,7 @@ def test_the_system_measures_the_table_by_the_workspace():
     context = system.CreateDefaultContext()
     system.GetInputPort("grasps").FixValue(context, Value(make_grasps(pose([0.5, 0.0, 0.05]))))
     system.GetInputPort("cloud").FixValue(context, Value(make_cloud()))
+    system.GetInputPort("view").FixValue(context, Value(View.empty()))
     system.GetInputPort("panda.position_measured").FixValue(context, Q_NOW)
     system.GetInputPort("failed_grasps").FixValue(context, Value(Grasps.empty()))
     with pytest.raises(NoFeasibleGrasp, match="into the table"):

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
+from scipy.spatial import cKDTree
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoFeasibleGrasp, NoGrasp
-from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
+from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside, points_swept
 from tog_drake.panda import (
     FINGER_BODIES,
     MAX_OPENING,
@@ -26,7 +27,9 @@ from tog_drake.panda import (
 )
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
-from tog_drake.values import Array, FeasibleGrasps, Grasps, Workspace
+from tog_drake.points import clusters, group_means, neighbors, voxel_numbers
+from tog_drake.values import Array, FeasibleGrasps, Grasps, View, Workspace
+from tog_drake.visibility import hidden_share
 
 Bools = NDArray[np.bool_]
 Fates = NDArray[np.int64]  # what became of each grasp: the number of a reason, or _FEASIBLE
@@ -35,6 +38,7 @@ REASONS = {
     "failed_before": "hardly differ from a grasp that failed before",
     "table_collision": "would push the hand into the table",
     "hand_collision": "would push the hand into something that the camera sees",
+    "hidden": "would push a finger to where the camera could not see",
     "no_ik": "are out of the arm's reach",
     "no_approach": "cannot be approached in a straight line",
     "no_lift": "cannot be lifted in a straight line",
@@ -43,12 +47,13 @@ REASONS = {
 }
 """What a grasp can fail on, in the order of the tests, and how to say it."""
 
-_FAILED, _TABLE, _HAND, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(
+_FAILED, _TABLE, _HAND, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(
     len(REASONS) + 1
 )
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
+_COARSE = 0.008  # [m] resolution at which other things are looked at during the lift
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
 
 
@@ -66,6 +71,7 @@ class FeasibilityConfig:
     attempts: int = 6  # configurations tried per grasp, the most convenient first
     hand_tolerance: float = 0.002  # [m] by which points may enter the hand's boxes: depth noise
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
+    max_hidden: float = 0.4  # share of a finger's end that may be hidden by what the camera saw
     table_clearance: float = 0.001  # [m] of the hand above the table
     cloud_clearance: float = 0.01  # [m] of the arm from the cloud
     failed_distance: float = 0.03  # [m] nearer than this in place and ...
@@ -81,6 +87,7 @@ def feasible_grasps(
     *,
     table_height: float = 0.0,
     failed: Grasps | None = None,
+    view: View | None = None,
 ) -> FeasibleGrasps:
     """Returns the grasps that can be carried out, in their order, with the paths that do it.
 
@@ -95,6 +102,7 @@ def feasible_grasps(
         config: the room demanded.
         table_height: [m] z of the table top in W.
         failed: grasps that were tried and held nothing; what is like them is rejected.
+        view: what the cloud was made from; without it nothing counts as hidden.
 
     Raises:
         NoGrasp: there are no proposals.
@@ -109,8 +117,14 @@ def feasible_grasps(
     tolerance = config.hand_tolerance
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
+    blocked |= _meets_others(grasps, points, config)
+    hidden = np.zeros(len(grasps), dtype=bool)
+    if view is not None:
+        hidden = hidden_share(grasps.X_WG, opening, view) > config.max_hidden
     again = _like(grasps, Grasps.empty() if failed is None else failed, config)
-    fate = np.select([again, low, blocked], [_FAILED, _TABLE, _HAND], _NO_IK)
+    fate = np.select(
+        [again, low, blocked, hidden], [_FAILED, _TABLE, _HAND, _HIDDEN], default=_NO_IK
+    )
 
     rows = np.flatnonzero(fate == _NO_IK)
     world = _World(planning_model, DistanceField(points), config)
@@ -137,6 +151,26 @@ def _like(grasps: Grasps, failed: Grasps, config: FeasibilityConfig) -> Bools:
     place, turn = grasps_apart(grasps.X_WG[:, None], failed.X_WG)
     near = (place < config.failed_distance) & (turn < config.failed_turn)
     return np.asarray(near.any(axis=1))
+
+
+def _meets_others(grasps: Grasps, points: Array, config: FeasibilityConfig) -> Bools:
+    """Tells which lifts would bring the hand into other things than what it holds, (N,).
+
+    Things are the clusters of the cloud; things that touch count as one.
+    """
+    if len(points) == 0:
+        return np.zeros(len(grasps), dtype=bool)
+    points = group_means(voxel_numbers(points, _COARSE), points)
+    thing = clusters(neighbors(points, 8), 1.5 * _COARSE)
+    if thing.max() == 0:
+        return np.zeros(len(grasps), dtype=bool)
+    held = thing[cKDTree(points).query(grasps.p_WContact)[1]]
+    lower, upper = hand_boxes(grasps.width)
+    tolerance = config.hand_tolerance
+    met = points_swept(
+        grasps.X_WG, lower + tolerance, upper - tolerance, config.lift_height, points
+    )
+    return np.asarray((met & (thing != held[:, None])).sum(axis=1) > 0)
 
 
 def _turned_like(X_WG: Array, X_WG_reached: Array) -> Array:
@@ -288,6 +322,7 @@ class FeasibilityFilter(LeafSystem):
         input_ports:
         - grasps
         - cloud
+        - view
         - panda.position_measured
         - failed_grasps
         output_ports:
@@ -315,7 +350,8 @@ class FeasibilityFilter(LeafSystem):
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
         self._failed = self.DeclareAbstractInputPort("failed_grasps", Value(Grasps.empty()))
-        ports = (self._grasps, self._cloud, self._position, self._failed)
+        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        ports = (self._grasps, self._cloud, self._view, self._position, self._failed)
         none = FeasibleGrasps(**vars(Grasps.empty()))
         self.DeclareAbstractOutputPort(
             "feasible_grasps",
@@ -334,5 +370,6 @@ class FeasibilityFilter(LeafSystem):
                 self._config,
                 table_height=self._table_height,
                 failed=self._failed.Eval(context),
+                view=self._view.Eval(context),
             )
         )

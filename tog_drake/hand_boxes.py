@@ -62,3 +62,29 @@ def points_inside(X_WG: Array, lower: Array, upper: Array, points: Array) -> NDA
             inside |= within
         count[chunk] = inside.sum(axis=1)
     return count
+
+
+def points_swept(
+    X_WG: Array, lower: Array, upper: Array, rise: float, points: Array
+) -> NDArray[np.bool_]:
+    """Tells which points the boxes of each grasp meet when they are lifted, (N, P).
+
+    A point meets a rising box while it is between the two faces of each of its three pairs: the
+    rises at which it is are intersected (the slab method for rays and boxes).
+
+    Args:
+        X_WG: (N, 4, 4).
+        lower, upper: (N, B, 3) [m] corners of the boxes in G.
+        rise: how far along z_W [m].
+        points: (P, 3) [m] in W.
+    """
+    met = np.zeros((len(X_WG), len(points)), dtype=bool)
+    for i, X in enumerate(X_WG):
+        up = X[2, :3]  # of W, in G
+        up = np.where(np.abs(up) < 1e-6, 1e-6, up)
+        p_G = (points - X[:3, 3]) @ X[:3, :3]
+        one, other = (p_G - lower[i][:, None]) / up, (p_G - upper[i][:, None]) / up  # (B, P, 3)
+        enter = np.minimum(one, other).max(axis=-1)
+        leave = np.maximum(one, other).min(axis=-1)
+        met[i] = np.any((enter < leave) & (leave > 0) & (enter < rise), axis=0)
+    return met

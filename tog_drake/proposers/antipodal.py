@@ -41,7 +41,7 @@ class Antipodal:
     voxel: float = 0.004  # [m] resolution at which the cloud is searched
     anchor_spacing: float = 0.010  # [m] between anchors, where they are not too many
     anchors: int = 80  # at most, on a single thing; spread over it
-    max_anchors: int = 160  # at most, on many things
+    max_anchors: int = 240  # at most, on many things
     yaws: int = 8  # closing directions over half a turn, the first across the local shape
     tilts_deg: list[float] = field(default_factory=lambda: [20.0, 40.0, 60.0])  # besides vertical
     depths: list[float] = field(default_factory=lambda: [0.012, 0.022, 0.032, 0.042])
@@ -53,7 +53,7 @@ class Antipodal:
     table_clearance: float = 0.0035  # [m] between the hand and the table
     clearance: float = 0.002  # [m] between the open hand and every point
     per_kind: int = 6  # best grasps of each kind at an anchor that are checked exactly
-    max_grasps: int = 300  # returned
+    max_grasps: int = 300  # returned; on many things twice as many as there are anchors, if more
 
 
 POINTS_PER_ANCHOR = 15  # of the searched cloud; a single thing has about 1000 points
@@ -67,7 +67,7 @@ class AntipodalProposer:
     """Proposes antipodal grasps on a single-view cloud (a ``Proposer``).
 
     The hand is symmetric under a half turn about its approach: only one of each such pair of
-    grasps is returned. What the camera did not see is neither trusted nor avoided.
+    grasps is returned. What the camera did not see is neither trusted nor avoided here.
 
     Args:
         seed: shifts the grid of anchors. The order of the cloud's points does not matter.
@@ -89,7 +89,7 @@ class AntipodalProposer:
         self._seed = seed
 
     def propose(self, cloud: PointCloud) -> Grasps:
-        """Returns at most ``max_grasps`` grasps, best first, possibly none."""
+        """Returns grasps, best first, possibly none."""
         if cloud.size() == 0:
             return Grasps.empty()
         config = self._config
@@ -103,7 +103,9 @@ class AntipodalProposer:
         sweep = _sweep(surface, tries, max(config.depths) + config.clearance)
         grips = _grips(surface, tries, sweep, config, self._table)
         found = _measure(surface, tries, sweep, grips, config.max_width)
-        return _best_free(found, surface, config, self._table)
+        return _best_free(
+            found, surface, config, self._table, max(config.max_grasps, 2 * len(anchor))
+        )
 
 
 @dataclass(frozen=True)
@@ -240,8 +242,10 @@ def _points_between(sweep: _Sweep, grips: _Grips) -> tuple[Rows, Rows]:
     return grip[between], e[between]
 
 
-def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float) -> Grasps:
-    """The best grasps at which the open hand is free, best first.
+def _best_free(
+    found: _Found, surface: Surface, config: Antipodal, table: float, count: int
+) -> Grasps:
+    """The ``count`` best grasps at which the open hand is free, best first.
 
     Every anchor's best comes first, then every anchor's best narrow one, its best shallow one, and
     so on, so that no part is left out.
@@ -255,7 +259,7 @@ def _best_free(found: _Found, surface: Surface, config: Antipodal, table: float)
     groups = np.split(np.arange(len(found)), np.flatnonzero(np.diff(found.anchor)) + 1)
     free = np.concatenate([_is_free(found.take(g), surface, config, table) for g in groups])
     found, kind = found.take(np.flatnonzero(free)), kind[free]
-    order = np.lexsort((-found.score, kind, _rank(found.anchor, kind)))[: config.max_grasps]
+    order = np.lexsort((-found.score, kind, _rank(found.anchor, kind)))[:count]
     best = order[np.argsort(-found.score[order], kind="stable")]
     return Grasps(*(getattr(found, name)[best] for name in Grasps.__annotations__))
 

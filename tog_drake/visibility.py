@@ -1,0 +1,49 @@
+"""What the camera could not see of the space that the fingers enter.
+
+Behind what is seen there may be anything: the rest of a thick thing of which one face shows, or
+another thing. A finger that goes there may well meet it.
+"""
+
+import numpy as np
+
+from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, PAD_WIDTH
+from tog_drake.pinhole import project
+from tog_drake.values import Array, View
+
+_BEHIND = 0.006  # [m] less behind a surface is not hidden: depth noise
+_ALONG = np.linspace(-0.03, FINGERTIP_Z - 0.001, 7)  # [m] z_G of the samples: the fingers' ends
+
+
+def hidden_share(X_WG: Array, opening: Array, view: View) -> Array:
+    """Returns how much of a finger's end is hidden by what the camera saw, (N,) from 0 to 1.
+
+    Of the two fingers, the one that is hidden more counts. What is out of the image or in a hole
+    of the depth image counts as seen.
+
+    Args:
+        X_WG: (N, 4, 4).
+        opening: (N,) [m] between the pads.
+        view: what the camera saw.
+    """
+    x = np.linspace(-0.5, 0.5, 3) * PAD_WIDTH
+    outwards = np.linspace(0, 1, 3) * FINGER_THICKNESS
+    grid = np.stack(np.meshgrid(x, outwards, _ALONG, indexing="ij"), axis=-1).reshape(-1, 3)
+    finger = np.stack([grid * [1, side, 1] for side in (-1, 1)])  # (2, S, 3) of a closed hand
+    p_G = np.broadcast_to(finger, (len(X_WG), *finger.shape)).copy()
+    p_G[..., 1] += np.array([-0.5, 0.5])[:, None] * opening[:, None, None]
+    p_W = np.einsum("nij,nfsj->nfsi", X_WG[:, :3, :3], p_G) + X_WG[:, None, None, :3, 3]
+    hidden = _behind(p_W.reshape(-1, 3), view) > _BEHIND
+    return np.asarray(hidden.reshape(p_G.shape[:3]).mean(axis=2).max(axis=1))
+
+
+def _behind(p_W: Array, view: View) -> Array:
+    """How far each point (N, 3) lies behind what is seen in its pixel, (N,) [m]; 0 if unknown."""
+    pixel = np.rint(project(p_W, view.intrinsics, view.X_WC))
+    height, width = view.depth.shape
+    inside = np.all((pixel >= 0) & (pixel < [width, height]), axis=1)  # False where NaN
+    column, row = pixel[inside].astype(np.int64).T
+    depth = view.depth[row, column]
+    z = (p_W[inside] - view.X_WC[:3, 3]) @ view.X_WC[:3, 2]
+    behind = np.zeros(len(p_W))
+    behind[inside] = np.where(depth > 0, z - depth, 0)
+    return behind
