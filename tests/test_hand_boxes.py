@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside
+from tog_drake.hand_boxes import disturbs_others, hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import FINGERTIP_Z, gripper_boxes
+from tog_drake.values import Grasps
 
 
 def straight_down(p):
@@ -70,3 +71,35 @@ def test_one_grasp_does_not_depend_on_the_others():
     assert together.tolist() == alone
     assert together.max() > 0
     assert points_inside(X_WG, lower, upper, np.zeros((0, 3))).tolist() == [0] * 50
+
+
+def block(lower, upper, step=0.004):
+    axes = [np.arange(a, b, step) for a, b in zip(lower, upper, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def test_a_hand_that_leans_is_lifted_into_what_overhangs_it_unless_it_holds_that():
+    lean = np.radians(60)
+    c, s = np.cos(lean), np.sin(lean)
+    X_WG = np.eye(4)
+    X_WG[:3, :3] = np.column_stack([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.diag([1, -1, -1])
+    X_WG[:3, 3] = [0.5, 0.0, 0.05]
+    held = block([0.49, -0.014, 0.0], [0.51, 0.014, 0.3])  # a post, higher than the hand
+    x, y, z = X_WG[:3, 3] - 0.1 * X_WG[:3, 2]  # in the palm
+    beam = block([x - 0.02, y - 0.05, z + 0.13], [x + 0.02, y + 0.05, z + 0.14])
+    far = beam + np.array([0.0, 0.3, 0.0])
+    grasp = Grasps(X_WG[None], np.array([0.028]), np.ones(1), X_WG[None, :3, 3])
+    for others, rise, expected in ((beam, 0.2, True), (beam, 0.02, False), (far, 0.2, False)):
+        points = np.vstack([held, others])
+        assert disturbs_others(grasp, points, rise, 0.002)[0] == expected
+    assert not disturbs_others(grasp, held, 0.2, 0.002)[0]
+
+
+def test_fingers_that_would_close_on_a_neighbour_disturb_it():
+    X_WG = straight_down([0.5, 0.0, 0.02])
+    held = block([0.45, -0.02, 0.0], [0.55, 0.02, 0.03])
+    grasp = Grasps(X_WG, np.array([0.04]), np.ones(1), X_WG[:, :3, 3] + [0.0, 0.02, 0.0])
+    # A rim between the finger's open and its closed place, and one outside.
+    for y, expected in ((0.036, True), (0.062, False)):
+        rim = block([0.49, y, 0.02], [0.56, y + 0.003, 0.024])
+        assert disturbs_others(grasp, np.vstack([held, rim]), 0.1, 0.002)[0] == expected

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
-from scipy.spatial import cKDTree
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoFeasibleGrasp, NoGrasp
-from tog_drake.hand_boxes import hand_boxes, lowest_corner, points_inside, points_swept
+from tog_drake.hand_boxes import disturbs_others, hand_boxes, lowest_corner, points_inside
 from tog_drake.panda import (
     FINGER_BODIES,
     MAX_OPENING,
@@ -27,7 +26,6 @@ from tog_drake.panda import (
 )
 from tog_drake.panda_ik import BRANCHES, follow_path, inverse_kinematics, within_limits
 from tog_drake.planning_model import BASE_LINK, PlanningModel
-from tog_drake.points import clusters, group_means, neighbors, voxel_numbers
 from tog_drake.values import Array, FeasibleGrasps, Grasps, View, Workspace
 from tog_drake.visibility import hidden_share
 
@@ -53,7 +51,6 @@ _FAILED, _TABLE, _HAND, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _F
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
 _CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
-_COARSE = 0.008  # [m] resolution at which other things are looked at during the lift
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
 
 
@@ -71,6 +68,7 @@ class FeasibilityConfig:
     attempts: int = 6  # configurations tried per grasp, the most convenient first
     hand_tolerance: float = 0.002  # [m] by which points may enter the hand's boxes: depth noise
     stray_points: int = 2  # that may be inside nevertheless: flying pixels
+    lift_clearance: float = 0.004  # [m] of the hand from other things while it lifts
     max_hidden: float = 0.4  # share of a finger's end that may be hidden by what the camera saw
     table_clearance: float = 0.001  # [m] of the hand above the table
     cloud_clearance: float = 0.01  # [m] of the arm from the cloud
@@ -117,7 +115,7 @@ def feasible_grasps(
     tolerance = config.hand_tolerance
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
-    blocked |= _meets_others(grasps, points, config)
+    blocked |= disturbs_others(grasps, points, config.lift_height, config.lift_clearance)
     hidden = np.zeros(len(grasps), dtype=bool)
     if view is not None:
         hidden = hidden_share(grasps.X_WG, opening, view) > config.max_hidden
@@ -151,26 +149,6 @@ def _like(grasps: Grasps, failed: Grasps, config: FeasibilityConfig) -> Bools:
     place, turn = grasps_apart(grasps.X_WG[:, None], failed.X_WG)
     near = (place < config.failed_distance) & (turn < config.failed_turn)
     return np.asarray(near.any(axis=1))
-
-
-def _meets_others(grasps: Grasps, points: Array, config: FeasibilityConfig) -> Bools:
-    """Tells which lifts would bring the hand into other things than what it holds, (N,).
-
-    Things are the clusters of the cloud; things that touch count as one.
-    """
-    if len(points) == 0:
-        return np.zeros(len(grasps), dtype=bool)
-    points = group_means(voxel_numbers(points, _COARSE), points)
-    thing = clusters(neighbors(points, 8), 1.5 * _COARSE)
-    if thing.max() == 0:
-        return np.zeros(len(grasps), dtype=bool)
-    held = thing[cKDTree(points).query(grasps.p_WContact)[1]]
-    lower, upper = hand_boxes(grasps.width)
-    tolerance = config.hand_tolerance
-    met = points_swept(
-        grasps.X_WG, lower + tolerance, upper - tolerance, config.lift_height, points
-    )
-    return np.asarray((met & (thing != held[:, None])).sum(axis=1) > 0)
 
 
 def _turned_like(X_WG: Array, X_WG_reached: Array) -> Array:

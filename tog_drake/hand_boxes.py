@@ -5,10 +5,15 @@ Points between the fingers are in no box: they are what is to be grasped.
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from tog_drake.panda import gripper_boxes
-from tog_drake.values import Array
+from tog_drake.panda import arrival_opening, gripper_boxes
+from tog_drake.points import clusters, group_means, neighbors, voxel_numbers
+from tog_drake.values import Array, Grasps
 
+_COARSE = 0.005  # [m] resolution at which other things are looked at during a lift
+_SPECK = 4  # such points; a smaller cluster is no thing
+_HAND_RADIUS = 0.16  # [m] of a ball about a point 0.08 m above the pads that holds all boxes
 _CHUNK = 16  # grasps at a time, so that the arrays stay in the cache
 
 
@@ -64,27 +69,47 @@ def points_inside(X_WG: Array, lower: Array, upper: Array, points: Array) -> NDA
     return count
 
 
-def points_swept(
-    X_WG: Array, lower: Array, upper: Array, rise: float, points: Array
+def disturbs_others(
+    grasps: Grasps, points: Array, rise: float, clearance: float
 ) -> NDArray[np.bool_]:
-    """Tells which points the boxes of each grasp meet when they are lifted, (N, P).
+    """Tells which hands would close on or rise into other things than what they hold, (N,).
 
-    A point meets a rising box while it is between the two faces of each of its three pairs: the
-    rises at which it is are intersected (the slab method for rays and boxes).
+    Things are the clusters of the points; things that touch count as one.
 
     Args:
-        X_WG: (N, 4, 4).
-        lower, upper: (N, B, 3) [m] corners of the boxes in G.
-        rise: how far along z_W [m].
-        points: (P, 3) [m] in W.
+        grasps: N of them.
+        points: (P, 3) [m] in W, what the camera saw.
+        rise: how far the hand is lifted [m].
+        clearance: kept between the hand's boxes and the points [m].
     """
-    met = np.zeros((len(X_WG), len(points)), dtype=bool)
-    for i, X in enumerate(X_WG):
-        up = X[2, :3]  # of W, in G
-        up = np.where(np.abs(up) < 1e-6, 1e-6, up)
-        p_G = (points - X[:3, 3]) @ X[:3, :3]
-        one, other = (p_G - lower[i][:, None]) / up, (p_G - upper[i][:, None]) / up  # (B, P, 3)
-        enter = np.minimum(one, other).max(axis=-1)
-        leave = np.maximum(one, other).min(axis=-1)
-        met[i] = np.any((enter < leave) & (leave > 0) & (enter < rise), axis=0)
+    met = np.zeros(len(grasps), dtype=bool)
+    if len(points) == 0:
+        return met
+    points = group_means(voxel_numbers(points, _COARSE), points)
+    thing = clusters(neighbors(points, 8), 2 * _COARSE)
+    if thing.max() == 0:
+        return met
+    held = thing[cKDTree(points).query(grasps.p_WContact)[1]]
+    closed, opened = hand_boxes(grasps.width), hand_boxes(arrival_opening(grasps.width))
+    lower, upper = np.minimum(closed[0], opened[0]), np.maximum(closed[1], opened[1])
+    middle = grasps.X_WG[:, :2, 3] - 0.08 * grasps.X_WG[:, :2, 2]
+    near = ((points[:, :2] - middle[:, None]) ** 2).sum(axis=-1) < _HAND_RADIUS**2
+    near &= (thing != held[:, None]) & (np.bincount(thing)[thing] >= _SPECK)
+    for i in np.flatnonzero(near.any(axis=1)):
+        X, others = grasps.X_WG[i], points[near[i]]
+        met[i] = _meets_rising(X, lower[i] - clearance, upper[i] + clearance, rise, others)
     return met
+
+
+def _meets_rising(X_WG: Array, lower: Array, upper: Array, rise: float, points: Array) -> bool:
+    """Whether boxes (B, 3) in G meet one of the points (P, 3) while they rise along z_W.
+
+    A point meets a rising box while it is between the faces of each of its three pairs: the rises
+    at which it is are intersected (the slab method for rays and boxes).
+    """
+    up = X_WG[2, :3]  # in G
+    up = np.where(np.abs(up) < 1e-6, 1e-6, up)
+    p_G = (points - X_WG[:3, 3]) @ X_WG[:3, :3]
+    one, other = (p_G - lower[:, None]) / up, (p_G - upper[:, None]) / up  # (B, P, 3)
+    enter, leave = np.minimum(one, other).max(axis=-1), np.maximum(one, other).min(axis=-1)
+    return bool(np.any((enter < leave) & (leave > 0) & (enter < rise)))
