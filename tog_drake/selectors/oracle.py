@@ -20,7 +20,8 @@ from tog_drake.selector import choose
 from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, View
 
 ORACLE_NOTE = "reads simulated part labels: an upper bound, not a method"
-_SURE = 0.99  # share of the closing region that must lie on allowed parts
+_SURE = 0.99  # share of the closing region on allowed parts from which the score decides ...
+_ENOUGH = 0.8  # ... and the least share that is taken; where none is sure, the greatest
 _MOSTLY = 0.5  # share of the closing region from which a grasp is one of the target
 _SEEN = 0.004  # [m] a point of the cloud belongs to the object that is not farther than this
 
@@ -112,19 +113,22 @@ def choose_by_labels(
             f"oracle: the task {task!r} allows no labelled part of {target}; its parts are "
             f"{', '.join(labels.objects[target].part_words)}"
         )
-    fits = _share(regions, {(target, part) for part in allowed}) > _SURE
+    share = _share(regions, {(target, part) for part in allowed})
+    fits = share >= _ENOUGH
     if not fits.any():
         raise NoChoice(
             f"oracle: none of {len(grasps)} feasible grasps closes on "
             f"{' or '.join(sorted(allowed))} of {target}"
         )
-    index = int(np.flatnonzero(fits)[0])  # grasps come best first
+    # One that is sure beats one that is not; of the sure ones the best score does.
+    worth = np.where(share > _SURE, 1.0 + grasps.score, share)
+    worth = np.where(fits, worth, -np.inf)
+    index = int(np.argmax(worth))
     reason = (
         f"Oracle, reading simulated labels: best of {fits.sum()} grasps on "
         f"{' or '.join(sorted(allowed))}."
     )
     part = max(regions[index].items(), key=lambda item: item[1])[0][1]
-    worth = np.where(fits, grasps.score, -np.inf)
     return choose(index, view, candidates, reason, part=part, worth=worth)
 
 

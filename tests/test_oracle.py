@@ -1,0 +1,82 @@
+"""The oracle's choice, on closing regions written by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydrake.geometry import QueryObject
+from pydrake.perception import PointCloud
+
+from tog_drake.compliance import load_parts
+from tog_drake.errors import NoChoice, NoGrasp
+from tog_drake.resources import resource_dir
+from tog_drake.selectors.oracle import choose_by_labels
+from tog_drake.values import Candidates, FeasibleGrasps, Grasps, View
+
+HANDLE, HEAD, CUP = ("hammer", "handle"), ("hammer", "head"), ("cup", "body")
+PARTS = load_parts(resource_dir("models") / "objects" / "hammer" / "parts.yaml")
+
+
+def _grasps(scores, type_=Grasps, **more):
+    n = len(scores)
+    X_WG = np.tile(np.eye(4), (n, 1, 1))
+    X_WG[:, 0, 3] = np.arange(n)  # far apart
+    return type_(X_WG, np.full(n, 0.03), np.array(scores, dtype=float), np.ones((n, 3)), **more)
+
+
+def _choose(regions, task="use the hammer", *, proposed=(), seen=()):
+    """A choice among grasps with these closing regions, of which one point is ``seen``."""
+    labels = SimpleNamespace(
+        objects={"hammer": PARTS},
+        closing_region=lambda grasps, query: regions if len(grasps) == len(regions) else proposed,
+        nearest_part=lambda p_W, query, reach: ([HANDLE, CUP], np.array(seen, dtype=int)),
+    )
+    n = len(regions)
+    paths = {"q_approach": np.zeros((n, 2, 7)), "q_lift": np.zeros((n, 2, 7))}
+    grasps = _grasps(np.linspace(0.9, 0.5, n), FeasibleGrasps, **paths)
+    grasps.rejected.update(no_ik=3, arm_collision=0)
+    return choose_by_labels(
+        labels,
+        "hammer",
+        View.empty(),
+        PointCloud(len(seen)),
+        _grasps([0.5] * len(proposed)),
+        Candidates(grasps, np.arange(n), np.zeros(n, dtype=int)),
+        task,
+        QueryObject(),
+    )
+
+
+def test_of_the_grasps_on_an_allowed_part_alone_the_best_score_wins():
+    choice = _choose([{HEAD: 1.0}, {HANDLE: 0.9, HEAD: 0.1}, {HANDLE: 1.0}, {HANDLE: 1.0}])
+    assert (choice.index, choice.part) == (2, "handle")
+    assert choice.alternatives == (3, 1)
+
+
+def test_where_every_grasp_is_mixed_the_least_mixed_is_taken_down_to_four_fifths():
+    choice = _choose([{HANDLE: 0.8, HEAD: 0.2}, {HANDLE: 0.9, HEAD: 0.1}, {HANDLE: 0.79}])
+    assert choice.index == 1
+    assert choice.alternatives == (0,)
+    with pytest.raises(NoChoice, match="none of 1 feasible grasps closes on handle of hammer"):
+        _choose([{HANDLE: 0.79, HEAD: 0.21}])
+
+
+def test_a_task_that_says_no_part_is_no_choice():
+    with pytest.raises(NoChoice, match="allows no labelled part of hammer; its parts are handle"):
+        _choose([{HANDLE: 1.0}], "look at the hammer")
+
+
+def test_grasps_on_other_things_alone_are_no_grasp_and_it_says_whether_the_target_is_hidden():
+    with pytest.raises(NoGrasp, match=r"none of 1 .* on hammer: 0 of the cloud's 3 points"):
+        _choose([{CUP: 1.0}], seen=(1, 1, -1))
+
+
+def test_a_target_that_is_seen_but_not_proposed_is_said_to_be_so():
+    with pytest.raises(NoGrasp, match=r"2 of the cloud's 3 points .* none of the 2 grasps propo"):
+        _choose([{CUP: 1.0}], seen=(0, 0, 1), proposed=({CUP: 1.0}, {CUP: 0.6, HANDLE: 0.4}))
+
+
+def test_a_target_whose_grasps_were_all_rejected_is_told_from_a_hidden_one():
+    message = r"all 1 grasps proposed on it were rejected \(rejected of all 2: no_ik 3\)"
+    with pytest.raises(NoGrasp, match=message):
+        _choose([{CUP: 1.0}], seen=(0, 0, 1), proposed=({CUP: 1.0}, {HEAD: 0.6, CUP: 0.4}))
