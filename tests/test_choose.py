@@ -95,8 +95,9 @@ def test_every_grasp_closes_on_the_block_from_above_in_the_cameras_frame(grasps,
         assert np.all(contact > np.array(lower) - 0.006)
         assert np.all(contact < np.array(upper) + 0.006)
         X_WG = X_WC @ np.array(grasp["X_CG"])
-        assert np.all(X_WG[:2, 3] > np.array(lower[:2]) - 0.002)
-        assert np.all(X_WG[:2, 3] < np.array(upper[:2]) + 0.002)
+        # A slanted grip across an edge may have its middle a little beside the block.
+        assert np.all(X_WG[:2, 3] > np.array(lower[:2]) - 0.006)
+        assert np.all(X_WG[:2, 3] < np.array(upper[:2]) + 0.006)
         assert 0 < X_WG[2, 3] < upper[2] + 0.01
         assert X_WG[2, 2] < 0  # the approach leads down
         assert 0 < grasp["width"] < 0.08
@@ -199,7 +200,7 @@ def test_a_part_that_cannot_be_told_apart_is_said_and_not_guessed(tmp_path):
     )
     record = json.loads(done.out)
     assert (done.status, record["outcome"], record["choice"]) == (1, "no_choice", None)
-    assert "shows no blade" in record["message"]
+    assert "alike all along" in record["message"]
 
 
 def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_path):

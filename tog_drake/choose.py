@@ -10,11 +10,13 @@ import numpy as np
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
 from tog_drake.errors import EpisodeError, InputError, NoGrasp
+from tog_drake.panda import arrival_opening
 from tog_drake.pinhole import project
 from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
 from tog_drake.table import find_table
 from tog_drake.task import read_task
 from tog_drake.values import Array, View
+from tog_drake.visibility import hidden_share
 
 GRASPS_SCHEMA = "tog_drake/grasps/1"
 
@@ -25,7 +27,7 @@ def choose_on_view(
     """Runs the stages that need no robot: cloud, proposer, candidates, selector.
 
     The world is that of the table that is found in the view. Whether an arm could reach a grasp
-    is not asked.
+    is not asked, but a grasp that would push a finger behind what was seen is left out.
 
     Args:
         view: its ``X_WC`` is not used.
@@ -60,6 +62,10 @@ def choose_on_view(
     decision.cloud = cloud
     try:
         grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud))
+        hidden = timed(
+            "filter", lambda: hidden_share(grasps.X_WG, arrival_opening(grasps.width), view)
+        )
+        grasps = grasps.take(np.flatnonzero(hidden <= config.feasibility.max_hidden))
         decision.grasps = grasps
         if len(grasps) == 0:
             raise NoGrasp(
