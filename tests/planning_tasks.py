@@ -2,9 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from pydrake.geometry import Box
+from pydrake.math import RigidTransform
 from pydrake.perception import PointCloud
+from pydrake.planning import SceneGraphCollisionChecker
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoPlan
@@ -62,6 +66,19 @@ def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[Plannin
             if met is None and _is_free(obstacles, feasible.q_pregrasp[row]):
                 choice = choose(int(row), View.empty(), candidates, "drawn at random")
                 yield PlanningTask(q_now, boxes, cloud, candidates, choice)
+
+
+def exact_checker(
+    planning_model: PlanningModel, task: PlanningTask, margin: float
+) -> SceneGraphCollisionChecker:
+    """Knows the boxes themselves, not points on them; lets nothing nearer than ``margin`` [m]."""
+    checker = cast(SceneGraphCollisionChecker, planning_model.checker.Clone())
+    checker.SetPaddingAllRobotEnvironmentPairs(margin)
+    checker.SetPaddingAllRobotRobotPairs(margin)
+    for i, (X_WB, size) in enumerate(task.boxes):
+        world = planning_model.plant.world_body()
+        checker.AddCollisionShapeToBody(f"{i}", world, Box(*size), RigidTransform(X_WB))
+    return checker
 
 
 def _is_free(obstacles: Obstacles, q: Array) -> bool:

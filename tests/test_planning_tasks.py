@@ -4,9 +4,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 import pytest
-from planning_tasks import planning_tasks
-from pydrake.geometry import Box
-from pydrake.math import RigidTransform
+from planning_tasks import exact_checker, planning_tasks
 
 from tog_drake.panda import A_MAX, FINGER_BODIES, J_MAX, Q_LOWER, Q_UPPER, V_MAX
 from tog_drake.path_planning import straight_line
@@ -14,6 +12,7 @@ from tog_drake.planning_model import MARGIN, MakePlanningModel
 from tog_drake.trajectory import TrajectoryConfig, plan_motion
 
 HAND = ("panda_hand", *FINGER_BODIES)
+KEPT = 0.8 * MARGIN  # less than the planner's, for what is between its samples
 
 
 @pytest.fixture(scope="module")
@@ -45,22 +44,10 @@ def test_motions_among_obstacles_keep_all_limits(planned):
             assert (np.abs(rate) / (TrajectoryConfig().speed ** order * limit)).max() < 1.001
 
 
-def exact_checker(model, task):
-    """Knows the boxes themselves, not points on them; lets nothing nearer than 4 mm."""
-    checker = model.checker.Clone()
-    margin = 0.8 * MARGIN  # less than the planner's, for what is between its samples
-    checker.SetPaddingAllRobotEnvironmentPairs(margin)
-    checker.SetPaddingAllRobotRobotPairs(margin)
-    for i, (X_WB, size) in enumerate(task.boxes):
-        world = model.plant.world_body()
-        checker.AddCollisionShapeToBody(f"{i}", world, Box(*size), RigidTransform(X_WB))
-    return checker
-
-
 def test_motions_among_obstacles_touch_none_by_drakes_exact_geometry(planned):
     model, motions = planned
     for task, motion in motions:
-        checker = exact_checker(model, task)
+        checker = exact_checker(model, task, KEPT)
         starts = [0.0, *(motion.phase_times[phase] for phase in ("approach", "lift", "hold"))]
         for start, end in pairwise(starts):
             if start > 0:  # then the hand comes near, and the filter has decided what it may touch
@@ -77,7 +64,7 @@ def test_obstacles_stand_in_the_straight_way_of_some(planned):
     model, motions = planned
     blocked = 0
     for task, motion in motions:
-        checker = exact_checker(model, task)
+        checker = exact_checker(model, task, KEPT)
         line = straight_line(task.q_now, task.choice.grasp.q_pregrasp[0], 0.05)
         positions = model.full_positions(line, motion.hand.value(0.0).item())
         blocked += not all(checker.CheckConfigCollisionFree(p) for p in positions)
