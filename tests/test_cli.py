@@ -390,6 +390,17 @@ def test_doctor_prints_one_json_object():
     assert set(checks["Drake"]) == {"name", "ok", "found", "required"}
 
 
+# --- noise --------------------------------------------------------------------------------------
+
+
+def test_noise_is_refused_for_a_camera_whose_noise_nobody_knows(tmp_path):
+    text = "cameras: {wrist: !CameraConfig {}}"
+    done = tog(
+        "run", "--task", "use the hammer", "--noise", "--scenario-text", text, "--out", tmp_path
+    )
+    refused(done, "camera wrist", "!L515 {}", "!D435 {}")
+
+
 # --- eval ---------------------------------------------------------------------------------------
 
 

@@ -50,7 +50,7 @@ _FAILED, _TABLE, _HAND, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _F
 )
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
-_CHECKED = 8  # about every eighth point of an approach or a lift is tested for collisions
+_CHECKED = 16  # every so many points of an approach or a lift are tested; the planner tests all
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
 
 
@@ -272,7 +272,7 @@ def _carry_out_from(
 
 
 def _checked(path: Array) -> Array:
-    """Returns both ends of paths (N, P, 7) and about every eighth point between them."""
+    """Returns both ends of paths (N, P, 7) and about every sixteenth point between them."""
     steps = path.shape[1] - 1
     return path[:, np.linspace(0, steps, -(-steps // _CHECKED) + 1).round().astype(int)]
 
