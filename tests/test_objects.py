@@ -30,13 +30,13 @@ from pydrake.multibody.plant import (
     AddMultibodyPlant,
     CoulombFriction,
     MultibodyPlant,
-    MultibodyPlantConfig,
 )
 from pydrake.multibody.tree import RigidBody
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tog_drake.resources import make_package_map, resource_dir
+from tog_drake.scenario import Scenario
 
 NAMES = (
     "axe",
@@ -67,19 +67,12 @@ MAX_HAND_WIDTH = 0.065  # [m] what a hand of 80 mm takes with room to spare
 def load(*names: str) -> tuple[MultibodyPlant, SceneGraph, DiagramBuilder]:
     """Returns a plant with a table and the named objects, not yet finalized."""
     builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlant(
-        MultibodyPlantConfig(
-            time_step=0.002,
-            contact_model="hydroelastic_with_fallback",
-            discrete_contact_approximation="lagged",
-        ),
-        builder,
-    )
+    plant, scene_graph = AddMultibodyPlant(Scenario().plant_config, builder)
     table = ProximityProperties()
-    AddCompliantHydroelasticProperties(0.1, 5e7, table)
+    AddCompliantHydroelasticProperties(0.1, 1e6, table)  # as scenes/table.urdf
     AddContactMaterial(1.25, None, CoulombFriction(0.8, 0.8), table)
     plant.RegisterCollisionGeometry(
-        plant.world_body(), RigidTransform([0, 0, -0.05]), Box(8, 8, 0.1), "table", table
+        plant.world_body(), RigidTransform([0, 0, -0.02]), Box(8, 8, 0.04), "table", table
     )
     parser = Parser(plant)
     parser.package_map().AddMap(make_package_map())
