@@ -413,8 +413,10 @@ def test_eval_runs_every_task_of_an_object_and_counts_failures(out_of_view, tmp_
     assert run.returncode == 0, err
     (line,) = out.splitlines()
     row, total = json.loads(line)["rows"]
-    assert (row["selector"], row["scenario"], row["n"]) == ("top-score", "behind.yaml", 2)
-    assert (row["grasp"], row["task"], row["both"], row["failures"]) == (0, 0, 0, "2 no_grasp")
+    assert (row["selector"], row["scenario"], row["n"], row["tasks"]) == (
+        "top-score", "behind.yaml", 1, 2,
+    )  # fmt: skip
+    assert (row["grasp"], row["task"], row["both"], row["failures"]) == (0, 0, 0, "1 no_grasp")
     assert {**row, "scenario": "all"} == total
     assert "INFO" not in err
     lines = (tmp_path / "e" / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
@@ -429,6 +431,7 @@ def test_eval_asks_for_every_object_of_a_scenario(tmp_path):
     ]  # fmt: skip
     assert {cell.tasks for cell in cells} == {("hand me the hammer",)}
     assert len({cell.name for cell in cells}) == 4
+    assert not any("/" in cell.name for cell in cells)  # each names a picture
 
 
 def test_a_selector_that_does_not_read_the_task_runs_once_for_all_tasks():
@@ -471,9 +474,10 @@ def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):
     assert sorted(asked) == sorted(product(["Hammer", "Mug"], ["random", "oracle"], [0, 1]))
 
 
-def _episode(scenario, selector, outcome, compliance=True):
+def _episode(scenario, selector, outcome, compliance=True, seed=0):
     lifted = outcome == "lifted"
     return {
+        "object": "thing", "seed": seed,
         "scenario": scenario, "selector": {"kind": selector}, "outcome": outcome,
         "grasp_success": lifted, "task_compliance": compliance,
         "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
@@ -483,9 +487,9 @@ def _episode(scenario, selector, outcome, compliance=True):
 def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
     records = [
         _episode("Hammer", "random", "lifted"),
-        _episode("Hammer", "random", "lifted", compliance=False),
+        _episode("Hammer", "random", "lifted", compliance=False, seed=1),
         _episode("Mug", "random", "slipped"),
-        _episode("Mug", "random", "no_grasp", compliance=False),
+        _episode("Mug", "random", "no_grasp", compliance=False, seed=1),
         _episode("Hammer", "oracle", "lifted"),
     ]
     rows = {(r["selector"], r["scenario"]): r for r in evaluation.summarize(records)}
@@ -500,6 +504,17 @@ def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
     everything = rows["random", "all"]
     assert (everything["n"], everything["grasp"], everything["both"]) == (4, 0.5, 0.25)
     assert rows["oracle", "all"]["failures"] == ""
+
+
+def test_an_episode_that_serves_two_tasks_is_one_grasp():
+    records = [
+        _episode("Hammer", "top-score", "lifted"),
+        _episode("Hammer", "top-score", "lifted", compliance=False),
+        _episode("Hammer", "top-score", "empty", compliance=False, seed=1),
+    ]
+    row, _ = evaluation.summarize(records)
+    assert (row["n"], row["tasks"]) == (2, 3)
+    assert (row["grasp"], row["both"], row["failures"]) == (0.5, 1 / 3, "1 empty")
 
 
 def test_intervals_are_wilsons():

@@ -172,6 +172,12 @@ def test_another_object_lifted_in_place_of_the_target_is_the_wrong_one():
     assert _verdict(_samples(0.02, held={}, others={"mug": LIFT - 1e-6})).outcome == "empty"
 
 
+def test_a_target_that_comes_up_on_what_was_grasped_is_not_held():
+    verdict = _verdict(_samples(held={}, touched={LEFT_ON_MUG: 8.0}, others={"mug": 0.15}))
+    assert verdict.outcome == "wrong_object"
+    assert verdict.message == "hammer came up with what the fingers hold"
+
+
 def test_another_object_that_comes_along_with_the_target_does_no_harm():
     assert _verdict(_samples(others={"mug": 0.2})).outcome == "lifted"
 

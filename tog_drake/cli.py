@@ -244,7 +244,7 @@ def evaluate_(
     print_rates(console, rows)
     if "oracle" in chosen:
         say(console, f"oracle: {ORACLE_NOTE}")
-    print_json(as_json, {"rows": rows, "oracle": ORACLE_NOTE})
+    print_json(as_json, {"rows": rows} | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
 
 
 @app.command(epilog=_epilog("tog scenarios"))
@@ -279,8 +279,9 @@ def show(
     if out is not None:
         check_file(out)
     if scenario == "objects":
-        picture = write_objects(out or Path("objects.png"))
-        say(console_for(as_json=False), f"picture: {picture}")
+        if out is None:
+            raise InputError("tog show objects draws a picture; say where: --out objects.png")
+        say(console_for(as_json=False), f"picture: {write_objects(out)}")
         return
     loaded = _load(scenario, scenario_text, None, None, None, seed)
     console = console_for(as_json=False)
@@ -376,11 +377,11 @@ def _valid(given: str, valid: Mapping[str, T], what: str) -> T:
 
 def _scenario_of(object_: str | None) -> str:
     """The scenario of an object that is named alone; else the default one."""
-    from tog_drake.scenario import scenario_files
+    from tog_drake.evaluation import scenario_names
 
     if object_ is None:
         return DEFAULT_SCENARIO
-    plain = {name.lower(): name for name in scenario_files()}
+    plain = {name.lower(): name for name in scenario_names(["objects"])}
     found = plain.get(object_.replace("_", "").replace(" ", "").lower())
     if found is None:
         raise InputError(f"unknown object {object_!r}; valid: {', '.join(plain)}")

@@ -9,6 +9,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tog_drake.camera import rendered_intrinsics
+from tog_drake.cameras import noise_of
 from tog_drake.compliance import ObjectParts, PartLabels, load_parts
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
@@ -150,6 +151,9 @@ def run_episode(
         attempts[-1]["opening"] = state.opening_after
     record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
     record["scenario"] = name
+    record["noise"] = noise_of(scenario.cameras[scenario.pipeline.camera]) is not None
+    record["grip_force"] = scenario.grip_force
+    record["object_friction"] = scenario.object_friction
     record["object"] = world.target
     record["attempts"] = attempts
     record["feasible_by_part"] = feasible_by_part

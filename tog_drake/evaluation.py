@@ -53,7 +53,8 @@ class Cell:
     @property
     def name(self) -> str:
         """What tells it from others, fit for a file's name."""
-        words = [self.selector, self.scenario, self.object, str(self.seed), *self.tasks[0].split()]
+        scenario = Path(self.scenario).stem
+        words = [self.selector, scenario, self.object, str(self.seed), *self.tasks[0].split()]
         return "-".join(words).lower()
 
 
@@ -117,10 +118,15 @@ def evaluate(
     """Runs the episodes in ``workers`` processes; the records come in the order of the cells.
 
     Every finished episode is a line of ``out/episodes.jsonl`` at once, and one that failed leaves
-    a picture of what was seen and chosen in ``out/failures``.
+    a picture of what was seen and chosen in ``out/failures``; pictures of an earlier run go away.
+
+    Raises:
+        TogError: if an episode cannot be run at all, naming it.
     """
     records: list[EpisodeRecord] = []
     out.mkdir(parents=True, exist_ok=True)
+    for picture in (out / "failures").glob("*.png"):
+        picture.unlink()
     with (
         (out / "episodes.jsonl").open("w", encoding="utf-8") as file,
         Progress(console=console) as progress,
@@ -157,7 +163,10 @@ def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
     scenario.pipeline.selector = SELECTORS[cell.selector]()
     if cell.noise:
         scenario.cameras = with_noise(scenario.cameras)
-    episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
+    try:
+        episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
+    except InputError as error:
+        raise InputError(f"{cell.name}: {error}") from error
     if not episode.record["grasp_success"]:
         _save_picture(out / "failures" / f"{cell.name}.png", episode)
     labels = load_objects(scenario)[cell.object]
@@ -190,9 +199,10 @@ def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> Episod
 def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | float]]:
     """Returns success rates by selector and scenario, and a row "all" for each selector.
 
-    ``grasp``, ``strict`` (held without turning by more than 10°), ``task`` and ``both`` are shares
-    of all episodes; an episode that ended early counts as a failure of each. ``_low`` and ``_high``
-    bound them with 95 % confidence (Wilson 1927).
+    ``grasp`` and ``strict`` (turned by no more than 10° in the hand) are shares of the ``n``
+    episodes that were run, ``task`` and ``both`` of the ``tasks`` that they were judged for: as
+    many, but for a selector that does not read the task. An episode that ended early counts as a
+    failure of each. ``_low`` and ``_high`` bound them with 95 % confidence (Wilson 1927).
     """
     rows: list[dict[str, str | int | float]] = []
     selectors = dict.fromkeys(record["selector"]["kind"] for record in records)
@@ -209,25 +219,29 @@ def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | fl
 def _row(
     selector: str, scenario: str, records: Sequence[EpisodeRecord]
 ) -> dict[str, str | int | float]:
+    runs = list(records)
+    if selector in _TASK_BLIND:  # one run, however many tasks it is judged for
+        runs = list({(r["scenario"], r["object"], r["seed"]): r for r in records}.values())
     row: dict[str, str | int | float] = {
         "selector": selector,
         "scenario": scenario,
-        "n": len(records),
+        "n": len(runs),
+        "tasks": len(records),
     }
     successes = {
-        "grasp": [r["grasp_success"] for r in records],
-        "strict": [r["strict_success"] for r in records],
+        "grasp": [r["grasp_success"] for r in runs],
+        "strict": [r["strict_success"] for r in runs],
         "task": [r["task_compliance"] for r in records],
         "both": [r["combined_success"] for r in records],
     }
     for name, values in successes.items():
         count = sum(map(bool, values))
-        row[name] = count / len(records)
-        row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(records))
+        row[name] = count / len(values)
+        row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(values))
     failures: dict[str, int] = {}
-    for outcome in (r["outcome"] for r in records if r["outcome"] != "lifted"):
+    for outcome in (r["outcome"] for r in runs if r["outcome"] != "lifted"):
         failures[outcome] = failures.get(outcome, 0) + 1
-    row["collisions"] = sum(bool(r["collisions"]) for r in records)
+    row["collisions"] = sum(bool(r["collisions"]) for r in runs)
     row["failures"] = ", ".join(f"{n} {outcome}" for outcome, n in failures.items())
     return row
 

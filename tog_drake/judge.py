@@ -112,6 +112,7 @@ class Judge:
     def start_over(self) -> None:
         """Takes all samples so far for a time before the motion: another one is to come."""
         self.samples = [replace(sample, time=-1.0) for sample in self.samples]
+        self._height_before = {}  # what was tried before may have moved things
 
     def _is_hit(self, a: GeometryId, b: GeometryId) -> bool:
         pair = {a, b}
@@ -193,7 +194,10 @@ def _outcome(
             + (f"at {hit.time:.2f} s of the motion" if hit.time >= 0 else "before the last motion")
         )
     end, highest = samples[-1], max(s.lift for s in samples if s.time >= 0)
-    if min(s.lift for s in samples if s.time >= end.time - HOLD) >= LIFT:
+    hold = [s for s in samples if s.time >= end.time - HOLD]
+    if min(s.lift for s in hold) >= LIFT:
+        if max(_grip(s, target)[target] for s in hold) < _TOUCH:
+            return "wrong_object", f"{target} came up with what the fingers hold"
         return "lifted", None
     if end.lift >= LIFT:
         return "dropped", f"lifted by {end.lift:.2f} m, but not held there for {HOLD:g} s"

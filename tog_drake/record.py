@@ -47,13 +47,17 @@ class EpisodeRecord(TypedDict):
     object: str | None  # the one that the task is about (model instance); the judge's target
     scenario: str | None
     seed: int
+    noise: bool | None  # whether depth was noisy; null: not simulated, nor the next two
+    grip_force: float | None  # [N]
+    object_friction: float | None  # null, too: what each model says
     proposer: dict[str, Any]  # {"kind": ..., its settings}
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
     choice: ChoiceRecord | None
     attempts: list[AttemptRecord]
-    """One, and one more for each retry; all other fields tell of the last look and its motion."""
+    """One, and one more for each retry. ``collisions``, ``seconds.execute`` and ``sim`` cover all,
+    every other field tells of the last look and its motion."""
     outcome: str  # see OUTCOMES
     message: str | None  # why it ended early
     grasp_success: bool | None  # lifted by 0.10 m and held for 2 s
@@ -117,6 +121,9 @@ def new_record(
         object=None,
         scenario=None,
         seed=seed,
+        noise=None,
+        grip_force=None,
+        object_friction=None,
         proposer=_kind_and_settings(config.proposer),
         selector=_kind_and_settings(config.selector),
         counts=counts,

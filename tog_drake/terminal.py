@@ -43,13 +43,14 @@ def print_json(as_json: bool, content: Any) -> None:
 def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     """The table of successes; each rate with its 95 % interval."""
     rates = ("grasp", "strict", "task", "both")
-    table = Table("selector", "scenario", "n", *rates, "collisions", "failures")
+    table = Table("selector", "scenario", "n", "tasks", *rates, "collisions", "failures")
     for row in rows:
         intervals = (f"{row[r]:.2f} [{row[r + '_low']:.2f}, {row[r + '_high']:.2f}]" for r in rates)
         table.add_row(
             row["selector"],
             row["scenario"],
             str(row["n"]),
+            str(row["tasks"]),
             *intervals,
             str(row["collisions"]),
             row["failures"],
