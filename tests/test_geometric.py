@@ -134,6 +134,33 @@ def test_a_part_to_avoid_is_never_held_not_even_for_want_of_another():
         select("grab the hammer, not by the head", cloud, things.candidates(points[is_head]))
 
 
+@pytest.mark.parametrize(
+    "task",
+    [
+        "hand me the hammer by the gizmo without touching the head",
+        "hand me the hammer by the trunk without touching the head",
+    ],
+)
+def test_a_part_to_avoid_is_kept_off_where_another_is_not_understood_or_not_found(task):
+    points, is_head = things.hammer()
+    head_first = points[np.argsort(~is_head, kind="stable")]  # the best scores are on the head
+    cloud = things.cloud((points, things.STEEL))
+    choice = select(task, cloud, things.candidates(head_first), unresolved="top-score")
+    assert choice.status in {"unresolved", "part_not_found"}
+    assert choice.grasp.p_WContact[0, 0] < 0.09
+    assert "away from its head" in choice.reason
+    with pytest.raises(NoChoice, match="every grasp on it is on its head"):
+        select(task, cloud, things.candidates(points[is_head]), unresolved="top-score")
+
+
+@pytest.mark.parametrize("policy", ["fail", "top-score"])
+@pytest.mark.parametrize("task", ["grab the hammer, not by the head", "grab it, not by the trunk"])
+def test_a_part_to_avoid_that_is_not_found_is_no_choice_whatever_the_policy(task, policy):
+    stick = things.box((-0.1, -0.01, 0.004), (0.1, 0.01, 0.02))
+    with pytest.raises(NoChoice, match=r"keep off the (head|trunk), and where that is cannot be"):
+        choose(task, stick, unresolved=policy)
+
+
 def test_grasps_on_other_objects_do_not_count():
     red, blue = things.mug((0.0, 0.0))[0], things.mug((0.0, 0.3))[0]
     cloud = things.cloud((red, things.RED), (blue, things.BLUE))

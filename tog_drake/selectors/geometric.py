@@ -33,7 +33,8 @@ class Geometric:
     unresolved: str = "fail"
     """What to do where the words are not understood, or the part that they name is not seen or has
     no grasp on it: "fail" raises NoChoice, "top-score" takes the best grasp on the object that
-    is not on a part to be avoided, and says so in the choice's status."""
+    is not on a part to be avoided, and says so in the choice's status. A part to be avoided that
+    is not seen raises NoChoice either way."""
     margin: float = 0.03
     """[m] A grasp this far inside its part is as good as any; nearer its edge it counts less."""
 
@@ -65,8 +66,8 @@ class GeometricSelector:
 
         Raises:
             NoChoice: it cannot tell which object is meant, the task says to leave things alone,
-                every grasp is on a part to be avoided, or, where ``unresolved`` is "fail", the
-                part cannot be told or had.
+                every grasp is on a part to be avoided or that part is not found, or, where
+                ``unresolved`` is "fail", the part to hold cannot be told or had.
             NoGrasp: no grasp is on the object.
             InputError: the task is empty.
         """
@@ -181,32 +182,52 @@ def _between(grasps: Grasps, points: Array) -> Mask:
 
 
 def _wanted(reading: TaskReading, thing: Array) -> _Wanted:
-    """Where the task asks to grasp the target; everywhere where it does not say."""
-    everywhere, nowhere = np.ones(len(thing), dtype=bool), np.zeros(len(thing), dtype=bool)
+    """Where the task asks to grasp the target; all but what it says to avoid where it does not say.
+
+    Raises NoChoice where a part to be avoided is not found.
+    """
+    avoided = _avoided(reading, thing)
+    away = "".join(f"; away from its {name}" for name in reading.avoid)
     if reading.unknown:
-        how = "not understood: " + ", ".join(map(repr, reading.unknown))
-        return _Wanted(everywhere, nowhere, None, "unresolved", how)
+        how = "not understood: " + ", ".join(map(repr, reading.unknown)) + away
+        return _Wanted(~avoided, avoided, None, "unresolved", how)
     if not (reading.parts or reading.avoid or reading.intent in {"use", "handover"}):
         if reading.intent == "hold":
             how = "the task names no part, so any will do"
-            return _Wanted(everywhere, nowhere, None, "ok", how)
+            return _Wanted(~avoided, avoided, None, "ok", how)
         how = "the task says neither part nor purpose"
-        return _Wanted(everywhere, nowhere, None, "unresolved", how)
+        return _Wanted(~avoided, avoided, None, "unresolved", how)
     try:
         rule, how = rule_of(reading.objects, thing)
-        names = _names(reading, rule)
-        regions, missing = _find(thing, names, rule)
-        avoided, unseen = _find(thing, reading.avoid, rule)
     except PartNotFound as not_found:
-        return _Wanted(everywhere, nowhere, None, "part_not_found", str(not_found))
-    how = "; ".join([how, *(region.how for region in regions.values()), *missing, *unseen])
-    for name in avoided:
-        how += f"; away from its {name}"
-    out = np.any([nowhere, *(region.mask for region in avoided.values())], axis=0)
-    mask = np.any([region.mask for region in regions.values()], axis=0) if regions else everywhere
-    lost = (names and not regions) or unseen
-    status: ChoiceStatus = "part_not_found" if lost else "ok"
-    return _Wanted(mask & ~out, out, " or ".join(regions) or None, status, how)
+        return _Wanted(~avoided, avoided, None, "part_not_found", str(not_found))
+    names = _names(reading, rule)
+    regions, missing = _find(thing, names, rule)
+    how = "; ".join([how, *(region.how for region in regions.values()), *missing]) + away
+    mask = ~avoided
+    if regions:
+        mask &= np.any([region.mask for region in regions.values()], axis=0)
+    status: ChoiceStatus = "part_not_found" if names and not regions else "ok"
+    return _Wanted(mask, avoided, " or ".join(regions) or None, status, how)
+
+
+def _avoided(reading: TaskReading, thing: Array) -> Mask:
+    """What of the thing (M,) the task says to keep off.
+
+    Where a part of it is not found, no grasp is known to be off it: NoChoice, whatever the policy.
+    """
+    if not reading.avoid:
+        return np.zeros(len(thing), dtype=bool)
+    try:
+        rule, _ = rule_of(reading.objects, thing)
+        masks = [find_part(thing, name, rule).mask for name in reading.avoid]
+    except PartNotFound as not_found:
+        raise NoChoice(
+            f"The task says to keep off the {' and the '.join(reading.avoid)}, and where that is "
+            f"cannot be told: {not_found}. Show the object from another side, or say which part "
+            "to hold instead."
+        ) from not_found
+    return np.asarray(np.any(masks, axis=0))
 
 
 def _find(thing: Array, names: tuple[str, ...], rule: Rule) -> tuple[dict[str, Region], list[str]]:
