@@ -25,6 +25,7 @@ def _parts(name):
         ("look at the hammer", None),
         ("bring me the hammer so that I can take the handle", {"head"}),
         ("clean the head of the hammer", {"handle"}),
+        ("hand me the hammer, not by the head", {"handle"}),
         ("don't pick the hammer up", set()),
     ],
 )

@@ -61,9 +61,21 @@ def test_where_every_grasp_is_mixed_the_least_mixed_is_taken_down_to_four_fifths
         _choose([{HANDLE: 0.79, HEAD: 0.21}])
 
 
-def test_a_task_that_says_no_part_is_no_choice():
+def test_where_the_task_names_no_part_any_part_of_the_target_will_do():
+    choice = _choose([{CUP: 1.0}, {HEAD: 1.0}, {HANDLE: 1.0}], "pick up the hammer")
+    assert (choice.index, choice.part) == (1, "head")
+    assert choice.alternatives == (2,)
+
+
+def test_a_part_to_avoid_is_not_allowed_even_where_it_is_that_of_the_intent():
+    choice = _choose([{HEAD: 1.0}, {HANDLE: 1.0}], "hand me the hammer, not by the head")
+    assert (choice.index, choice.part) == (1, "handle")
+    assert choice.alternatives == ()
+
+
+def test_a_task_that_says_to_leave_things_alone_is_no_choice():
     with pytest.raises(NoChoice, match="allows no labelled part of hammer; its parts are handle"):
-        _choose([{HANDLE: 1.0}], "look at the hammer")
+        _choose([{HANDLE: 1.0}], "don't pick the hammer up")
 
 
 def test_grasps_on_other_things_alone_are_no_grasp_and_it_says_whether_the_target_is_hidden():

@@ -1,7 +1,7 @@
 """The labelled parts of objects: which one is held, and whether the task allows it.
 
-Part labels are simulated ground truth. Only the judge of an episode (``judge.py``) and the oracle
-use this module; nothing here reaches any other selector.
+Part labels are simulated ground truth. They are for judging, evaluating and showing; no stage of
+the pipeline but the oracle (``selectors/oracle.py``) reads them.
 """
 
 from dataclasses import dataclass
@@ -44,21 +44,20 @@ class ObjectParts:
     def allowed(self, task: str) -> frozenset[str] | None:
         """Returns the parts that the task allows to hold; None where its words do not say.
 
-        A part named in the task overrides its intent; a part to be avoided is taken away. None
-        is allowed, an empty set, where the task says to leave things alone.
+        A part named in the task overrides its intent; a part to be avoided is taken away, and
+        where nothing else is asked for the others remain. None is allowed, an empty set, where
+        the task says to leave things alone.
         """
         reading = read_task(task)
         if reading.forbidden:
             return frozenset()
         avoided = self._parts_called(reading.avoid)
+        asked = frozenset(self.tasks.get(reading.intent or "", ()))
         if reading.parts:
-            named = self._parts_called(reading.parts)
-            return (named - avoided) or None
-        if reading.intent in self.tasks:
-            return frozenset(self.tasks[reading.intent]) - avoided or None
-        if avoided:
-            return frozenset(self.part_words) - avoided
-        return None
+            asked = self._parts_called(reading.parts)
+        if asked - avoided:
+            return asked - avoided
+        return frozenset(self.part_words) - avoided if avoided else None
 
     def _parts_called(self, words: tuple[str, ...]) -> frozenset[str]:
         # A task's words for parts come in the spelling of the lexicon, labels as people say them.

@@ -101,13 +101,15 @@ def choose_by_labels(
 
     Raises:
         NoGrasp: if no feasible grasp is on the target, saying how much of it is seen and proposed.
-        NoChoice: if the task allows no part of the target, or no grasp lies on an allowed one.
+        NoChoice: if the task says to leave things alone, or no grasp lies on an allowed part.
     """
     grasps = candidates.grasps
     regions = labels.closing_region(grasps, query_object)
     if not _on(target, regions).any():
         raise NoGrasp(_why_none(labels, target, cloud, proposed, grasps, query_object))
     allowed = labels.objects[target].allowed(task)
+    if allowed is None:  # the task does not say, so any part will do
+        allowed = frozenset(labels.objects[target].part_words)
     if not allowed:
         raise NoChoice(
             f"oracle: the task {task!r} allows no labelled part of {target}; its parts are "
