@@ -56,6 +56,8 @@ def test_a_noun_is_taught_by_a_line_in_the_file(tmp_path):
         (lambda c: c["objects"].update(tongs={"kind": "tool", "words": ["mug"]}), "'mug'.*twice"),
         (lambda c: c["parts"]["tail"].append("handle"), "'handle' stands for both"),
         (lambda c: c["parts"].update(tail=[False]), "quote 'no'"),
+        (lambda c: c["parts"]["head"].append("face"), "parts: head: 'face' stands twice"),
+        (lambda c: c["fillers"].append("both"), "fillers: 'both' stands twice"),
     ],
 )
 def test_a_lexicon_that_is_wrong_is_refused_with_where_and_why(tmp_path, edit, message):

@@ -197,6 +197,9 @@ def _words(words: Any, where: str) -> list[str]:
     # YAML reads `no`, `on`, `off` and `yes` as booleans: they must be quoted.
     if not isinstance(words, list) or not all(isinstance(w, str) and w for w in words):
         raise InputError(f"{where} must be a list of words (quote 'no', 'on', 'off'): {words!r}")
+    twice = [word for i, word in enumerate(words) if word in words[:i]]
+    if twice:
+        raise InputError(f"{where}: {twice[0]!r} stands twice in the list")
     return words
 
 
