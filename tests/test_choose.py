@@ -8,6 +8,7 @@ import pytest
 from command import refused, tog
 from tabletop import HAMMER_SIZED, RED, TABLE, look
 
+from tog_drake import choose
 from tog_drake.choose import GRASPS_SCHEMA
 from tog_drake.record import SCHEMA
 
@@ -137,7 +138,7 @@ def test_scores_fall_and_choice_and_candidates_are_rows(grasps, chosen):
     scores = [grasp["score"] for grasp in grasps["grasps"]]
     assert scores == sorted(scores, reverse=True)
     record = json.loads(chosen[0].out)
-    assert len(scores) == record["counts"]["proposed"]
+    assert len(scores) <= record["counts"]["proposed"]  # those that hide a finger are left out
     assert grasps["choice"] == record["choice"]["index"]
     assert len(grasps["candidates"]) == record["counts"]["candidates"]
     assert all(0 <= row < len(scores) for row in grasps["candidates"])
@@ -213,6 +214,21 @@ def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_pat
     assert "no grasp proposed" in record["message"]
     found = json.loads((out / "grasps.json").read_text(encoding="utf-8"))
     assert (found["grasps"], found["choice"]) == ([], None)
+
+
+def test_grasps_that_all_push_a_finger_behind_what_was_seen_are_counted_as_hidden(
+    folder, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(choose, "hidden_share", lambda X_WG, opening, view: np.ones(len(X_WG)))
+    done = tog("choose", *_files(folder), *TASK, "--json", "--out", tmp_path / "out")
+    record = json.loads(done.out)
+    count = record["counts"]["proposed"]
+    assert (done.status, record["outcome"]) == (1, "no_grasp")
+    assert f"all {count} proposed grasps would push a finger behind" in record["message"]
+    assert record["rejected"] == {"hidden": count}
+    assert count > 10
+    found = json.loads((tmp_path / "out" / "grasps.json").read_text(encoding="utf-8"))
+    assert (found["grasps"], found["candidates"], found["choice"]) == ([], [], None)
 
 
 # --- bad input ----------------------------------------------------------------------------------

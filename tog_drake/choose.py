@@ -9,13 +9,13 @@ import numpy as np
 
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
-from tog_drake.errors import EpisodeError, InputError, NoGrasp
+from tog_drake.errors import EpisodeError, InputError, NoFeasibleGrasp, NoGrasp
 from tog_drake.panda import arrival_opening
 from tog_drake.pinhole import project
 from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
 from tog_drake.table import find_table
 from tog_drake.task import read_task
-from tog_drake.values import Array, View
+from tog_drake.values import Array, Grasps, View
 from tog_drake.visibility import hidden_share
 
 GRASPS_SCHEMA = "tog_drake/grasps/1"
@@ -62,17 +62,14 @@ def choose_on_view(
     decision.cloud = cloud
     try:
         grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud))
-        hidden = timed(
-            "filter", lambda: hidden_share(grasps.X_WG, arrival_opening(grasps.width), view)
-        )
-        grasps = grasps.take(np.flatnonzero(hidden <= config.feasibility.max_hidden))
         decision.grasps = grasps
         if len(grasps) == 0:
             raise NoGrasp(
                 f"no grasp proposed on {cloud.size()} points: nothing in view is narrower than "
                 "the hand's opening and free around it"
             )
-        candidates = timed("candidates", lambda: pick_candidates(grasps, config.candidates, seed))
+        free = timed("filter", lambda: _free(grasps, view, config.feasibility.max_hidden))
+        candidates = timed("candidates", lambda: pick_candidates(free, config.candidates, seed))
         decision.candidates = candidates
         decision.choice = timed("select", lambda: selector.select(view, cloud, candidates, task))
     except EpisodeError as error:
@@ -80,13 +77,29 @@ def choose_on_view(
     return decision
 
 
+def _free(grasps: Grasps, view: View, max_hidden: float) -> Grasps:
+    """The grasps that push no finger behind what was seen. Raises NoFeasibleGrasp if all do."""
+    hidden = hidden_share(grasps.X_WG, arrival_opening(grasps.width), view) > max_hidden
+    if hidden.all():
+        raise NoFeasibleGrasp(
+            f"all {len(grasps)} proposed grasps would push a finger behind what was seen: show the "
+            "object from another side",
+            {"hidden": len(grasps)},
+        )
+    return grasps.take(np.flatnonzero(~hidden))
+
+
 def grasps_record(decision: Decision) -> dict[str, Any]:
-    """Returns the content of ``grasps.json``: all grasps in the camera's frame, best first."""
+    """Returns the content of ``grasps.json``: the grasps that were left to choose from.
+
+    They are in the camera's frame, best first; ``choice`` and ``candidates`` are rows of them.
+    """
     assert decision.view is not None
-    grasps, choice, candidates = decision.grasps, decision.choice, decision.candidates
+    choice, candidates = decision.choice, decision.candidates
     X_CW = np.linalg.inv(decision.view.X_WC)
     rows = []
-    if grasps is not None:
+    if candidates is not None:
+        grasps = candidates.grasps
         pixels = project(grasps.p_WContact, decision.view.intrinsics, decision.view.X_WC)
         X_CG = X_CW @ grasps.X_WG
         p_C = grasps.p_WContact @ X_CW[:3, :3].T + X_CW[:3, 3]
