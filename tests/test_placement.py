@@ -8,6 +8,14 @@ from tog_drake.scenario import load_scenario, sampled_directives
 from tog_drake.stations.simulation import SimulationStation
 
 SCENES = ("Household", "Kitchen", "Tools")
+MUG = "file: package://tog_drake/objects/mug/mug.sdf"
+POSE = "default_free_body_pose: {base: {translation: [0.5, 0, 0.01]}}"
+
+
+def _dropped(*models):
+    table = "- add_directives: {file: package://tog_drake/scenes/table.dmd.yaml}"
+    lines = [f"- add_model: {{{model}}}" for model in models]
+    return load_scenario("Mug", "\n".join(["settle: {}", "directives:", table, *lines]))
 
 
 def _poses(scenario):
@@ -66,18 +74,20 @@ def test_objects_that_leave_the_area_are_dropped_anew_and_at_last_refused(monkey
 
 def test_an_object_in_the_way_is_dropped_on(monkeypatch):
     monkeypatch.setattr(placement, "_DRAWS", 1)
-    pose = "default_free_body_pose: {base: {translation: [0.5, 0, 0.01]}}"
-    file = "file: package://tog_drake/objects/mug/mug.sdf"
-    stack = load_scenario(
-        "Mug",
-        f"""
-directives:
-- add_directives: {{file: package://tog_drake/scenes/table.dmd.yaml}}
-- add_model: {{name: lower, {file}, {pose}}}
-- add_model: {{name: upper, {file}, {pose}}}
-settle: {{}}
-""",
-    )
+    stack = _dropped(f"name: lower, {MUG}, {POSE}", f"name: upper, {MUG}, {POSE}")
     poses = _poses(stack)
     assert poses["lower"][2, 3] == pytest.approx(0.0, abs=0.002)
     assert poses["upper"][2, 3] > 0.03
+
+
+def test_objects_without_a_pose_that_are_in_each_others_way_are_refused_by_name():
+    scenario = _dropped(f"name: a, {MUG}", f"name: b, {MUG}", f"name: c, {MUG}, {POSE}")
+    with pytest.raises(InputError, match=r"c cannot be put clear .* 2 m .*give these.*: a, b"):
+        sampled_directives(scenario)
+
+
+@pytest.mark.parametrize("frame", ["panda_link8", "table"])
+def test_a_pose_in_another_frame_than_the_worlds_is_refused_where_objects_settle(frame):
+    pose = f"default_free_body_pose: {{base: {{base_frame: {frame}, translation: [0.5, 0, 0.1]}}}}"
+    with pytest.raises(InputError, match=f"pose of a has base_frame '{frame}'.*or give world"):
+        sampled_directives(_dropped(f"name: a, {MUG}, {pose}"))

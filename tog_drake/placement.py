@@ -28,6 +28,7 @@ from tog_drake.values import Array
 
 _DRAWS = 20  # poses tried for an object before it is dropped onto the others
 _RAISE = np.array([0.0, 0.0, 0.02])  # [m] by which it is then raised until it is clear of them
+_RAISES = 100  # so often at most: 2 m above all others
 _TIME_STEP = 0.005  # [s] nothing is held here, so that the steps may be large
 _LOOK = 0.1  # [s] between two looks whether all is at rest
 _SLOWED = 0.5  # of its speed is left to everything at each look: what is round would roll on
@@ -54,7 +55,8 @@ def placed(
     """Returns copies of the directives in which every pose of a free body is certain.
 
     Raises:
-        InputError: if the objects do not come to rest within the area of ``settle``.
+        InputError: if the objects do not come to rest within the area of ``settle``, or cannot
+            be put clear of each other, or a pose is not given in the world's frame.
     """
     if settle is None:
         generator = RandomGenerator(seed)
@@ -111,6 +113,17 @@ def _settled(
     )
 
 
+def _check_base_frames(directives: ModelDirectives) -> None:
+    for model in (d.add_model for d in directives.directives if d.add_model is not None):
+        for pose in model.default_free_body_pose.values():
+            if pose.base_frame not in (None, "", "world"):
+                raise InputError(
+                    f"settle: the default_free_body_pose of {model.name} has base_frame "
+                    f"{pose.base_frame!r}; objects are dropped in the world's frame: leave it out, "
+                    "or give world"
+                )
+
+
 class _Table:
     """The world without robot and cameras, to drop things on."""
 
@@ -124,6 +137,7 @@ class _Table:
         self.plant, _ = AddMultibodyPlant(config, builder)
         parser = Parser(self.plant)
         parser.package_map().AddMap(make_package_map())
+        _check_base_frames(directives)
         without_poses = _with_poses(directives.directives, lambda model: {})
         ProcessModelDirectives(ModelDirectives(directives=without_poses), parser)
         self.plant.Finalize()
@@ -143,8 +157,26 @@ class _Table:
                 X_WB = pose.Sample(generator)
                 if self._is_clear(context, body, X_WB):
                     break
-            while not self._is_clear(context, body, X_WB):
-                X_WB = RigidTransform(X_WB.rotation(), X_WB.translation() + _RAISE)
+            self._raise_until_clear(context, body, X_WB)
+
+    def _raise_until_clear(self, context: Context, body: RigidBody, X_WB: RigidTransform) -> None:
+        for _ in range(_RAISES):
+            if self._is_clear(context, body, X_WB):
+                return
+            X_WB = RigidTransform(X_WB.rotation(), X_WB.translation() + _RAISE)
+        remedy = "give it a default_free_body_pose above the table"
+        if without := self._without_pose():
+            remedy = f"give these a default_free_body_pose too: {', '.join(without)}"
+        raise InputError(
+            f"settle: {self._name(body)} cannot be put clear of the others, not even "
+            f"{_RAISES * _RAISE[2]:g} m above its pose; {remedy}"
+        )
+
+    def _without_pose(self) -> list[str]:
+        """Names of the free objects that stay where their models or other directives put them."""
+        dropped = {body.index() for body, _ in self._objects}
+        free = self.plant.GetFloatingBaseBodies()
+        return sorted(self._name(self.plant.get_body(i)) for i in free - dropped)
 
     def _is_clear(self, context: Context, body: RigidBody, X_WB: RigidTransform) -> bool:
         self.plant.SetFreeBodyPose(context, body, X_WB)
@@ -158,7 +190,7 @@ class _Table:
             if context.get_time() >= _PATIENCE:
                 return f"{self._fastest(context)} still moved after {_PATIENCE:g} s"
             simulator.AdvanceTo(context.get_time() + _LOOK)
-            calm = calm + 1 if max(self._speeds(context)) < _REST else 0
+            calm = calm + 1 if max(self._speeds(context), default=0.0) < _REST else 0
             self.plant.SetVelocities(context, _SLOWED * self.plant.GetVelocities(context))
         for body, _ in self._objects:
             p_WCom = body.EvalPoseInWorld(context) @ body.CalcCenterOfMassInBodyFrame(context)

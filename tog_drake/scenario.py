@@ -153,6 +153,15 @@ def _check(scenario: Scenario, source: str) -> None:
             f"{source}: object_friction must be above 0 and at most {MAX_FRICTION:g}, or left out "
             f"for what each model says, not {friction:g}"
         )
+    settle = scenario.settle
+    if settle is not None and not (
+        len(settle.lower) == len(settle.upper) == 2
+        and all(low < high for low, high in zip(settle.lower, settle.upper, strict=True))
+    ):
+        raise InputError(
+            f"{source}: settle: lower {settle.lower} and upper {settle.upper} must be two numbers "
+            "each [m], x and y, every lower below its upper"
+        )
     if scenario.plant_config.discrete_contact_approximation == "tamsi":
         raise InputError(
             f"{source}: plant_config.discrete_contact_approximation: tamsi ignores the coupling "
