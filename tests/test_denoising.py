@@ -15,11 +15,17 @@ def noisy(depth, sigma, seed=0):
     return (depth + error).astype(np.float32)
 
 
-@pytest.mark.parametrize("sigma", [0.0005, 0.002])
+@pytest.mark.parametrize("sigma", [0.002, 0.008])  # [1/m]: 0.5 and 2 mm at 0.5 m
 def test_the_noise_of_a_slanted_plane_is_measured(sigma):
+    exact = tilted_table(height=480)
+    assert inverse_depth_noise(exact) < 1e-6
+    depth = 1 / noisy(1 / exact, sigma)
+    assert inverse_depth_noise(depth) == pytest.approx(sigma, rel=0.05)
+
+
+def test_the_noise_of_a_plane_seen_squarely_is_that_of_the_depth_over_its_square():
     depth = np.full((480, 640), 0.5, np.float32)
-    assert inverse_depth_noise(noisy(depth, sigma)) * 0.5**2 == pytest.approx(sigma, rel=0.05)
-    assert inverse_depth_noise(tilted_table()) < 1e-6
+    assert inverse_depth_noise(noisy(depth, 0.001)) * 0.5**2 == pytest.approx(0.001, rel=0.05)
 
 
 def test_things_on_the_plane_and_holes_do_not_count_as_noise():

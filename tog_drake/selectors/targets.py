@@ -66,8 +66,9 @@ def find_target(
         return Target(shaped[0], f"Of {len(things)} objects the one with the shape of a {noun}")
     alike = f"{len(shaped)} could be a {noun}" if shaped else f"none has the shape of a {noun}"
     if not noun:
-        named = " and ".join(reading.objects[:1])
-        alike = f"no shape of {named!r} is known" if named else "the task names none of them"
+        alike = "the task names none of them"
+        if reading.objects:
+            alike = f"no shape of {reading.objects[0]!r} is known"
     raise NoChoice(
         f"{len(things)} objects are in view and the task does not tell them apart: {alike}. They "
         f"look like {_looks_of(points, things)}. Name its colour, such as 'the red one'."
