@@ -47,8 +47,9 @@ def test_a_scene_is_drawn_by_its_seed():
         assert not np.allclose(one[model], other[model], atol=1e-3)
 
 
-def test_a_scene_is_still_at_rest_in_the_world_of_the_episode():
-    scenario = load_scenario("Tools")
+@pytest.mark.parametrize("name", ["Household", "Kitchen", "Tools"])
+def test_a_scene_is_still_at_rest_in_the_world_of_the_episode(name):
+    scenario = load_scenario(name)
     scenario.cameras = {}
     station = SimulationStation(scenario)
     context = station.CreateDefaultContext()
