@@ -13,7 +13,6 @@ from pydrake.planning import SceneGraphCollisionChecker
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import NoFeasibleGrasp, NoPlan
 from tog_drake.feasibility import FeasibilityConfig, feasible_grasps
-from tog_drake.lift_clearance import first_met
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
 from tog_drake.planning_model import PlanningModel
@@ -43,8 +42,8 @@ class PlanningTask:
 
 
 def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[PlanningTask]:
-    """Yields tasks without end, up to two of a scene; start, pregrasp and lift are free."""
-    rng = np.random.default_rng(seed)
+    """Yields tasks without end, up to two of a scene; start, approach and lift are free."""
+    rng, config = np.random.default_rng(seed), FeasibilityConfig()
     while True:
         boxes, grasps = _scene(rng)
         cloud = _cloud(boxes)
@@ -54,16 +53,16 @@ def planning_tasks(seed: int, planning_model: PlanningModel) -> Iterator[Plannin
         if not _is_free(obstacles, q_now):
             continue
         try:
-            feasible = feasible_grasps(grasps, cloud, q_now, planning_model, FeasibilityConfig())
+            feasible = feasible_grasps(grasps, cloud, q_now, planning_model, config)
         except NoFeasibleGrasp:
             continue
         zeros = np.zeros(len(feasible), np.int64)
         candidates = Candidates(feasible, zeros[:1], zeros)
         for row in rng.permutation(len(feasible))[:2]:
-            X_WG = planning_model.X_WG(feasible.q_lift[row])
-            width, p_WContact = float(feasible.width[row]), feasible.p_WContact[row]
-            met = first_met(X_WG, width, MAX_OPENING, p_WContact, cloud.xyzs().T)
-            if met is None and _is_free(obstacles, feasible.q_pregrasp[row]):
+            # The filter tests few points of the straight lines, the planner all.
+            lines = np.vstack([feasible.q_approach[row], feasible.q_lift[row]])
+            clearance = obstacles.cloud_clearance(lines, with_hand=False).min()
+            if clearance >= config.cloud_clearance and _is_free(obstacles, lines[0]):
                 choice = choose(int(row), View.empty(), candidates, "drawn at random")
                 yield PlanningTask(q_now, boxes, cloud, candidates, choice)
 

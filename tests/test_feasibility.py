@@ -143,6 +143,19 @@ def test_a_shelf_that_only_the_backed_off_hand_meets_is_a_hand_collision():
     assert only_reason(grasp, lower, FeasibilityConfig(pregrasp_distance=0.02)) != "hand_collision"
 
 
+def test_a_hand_that_would_close_on_or_rise_into_another_thing_disturbs_others():
+    target = ([0.45, -0.015, 0.0], [0.55, 0.015, 0.06])
+    grasp = make_grasps(pose([0.5, 0.0, 0.04]))
+    beside = ([0.49, 0.024, 0.02], [0.51, 0.028, 0.06])  # between the target and a finger
+    shelf = ([0.49, -0.10, 0.275], [0.51, -0.09, 0.295])  # over the hand's wide side
+    for other in (beside, shelf):
+        assert only_reason(grasp, make_cloud(target, other)) == "disturbs_others"
+    # What is held goes up with the hand, though it is as wide as the hand's way up.
+    stem = ([0.445, -0.01, 0.06], [0.46, 0.01, 0.09])
+    crown = ([0.45, -0.035, 0.09], [0.47, 0.035, 0.10])
+    assert len(solve(grasp, make_cloud(target, stem, crown))) == 1
+
+
 def test_a_finger_behind_the_one_face_that_was_seen_of_something_is_hidden():
     view = look([TABLE, ((0.45, -0.03, 0.0), (0.55, 0.03, 0.1), RED)], eye=(0.1, 0.0, 0.15))
     # From the side, across the seen face as if it were a sheet: a finger would enter the block.

@@ -412,23 +412,3 @@ def test_a_motion_without_a_way_back_is_carried_out_all_the_same():
     )  # fmt: skip
     assert motion.retreat is None
     assert "no way back: the posture after the lift is not free" in motion.note
-
-
-def test_a_hand_that_would_meet_another_thing_on_the_lift_is_not_sent():
-    shelf = block([0.49, 0.105, 0.275], [0.51, 0.115, 0.295])  # over the hand's wide side
-    with pytest.raises(NoPlan, match=r"the lift is not free: .* another thing \d+ mm up"):
-        plan(Q_LOOK, make_cloud(TARGET, shelf))
-
-
-def test_a_hand_that_would_close_on_two_things_is_not_sent():
-    beside = block([0.49, 0.23, 0.03], [0.51, 0.234, 0.05])  # between the target and a finger
-    with pytest.raises(NoPlan, match=r"the lift is not free: .* another thing as it closes"):
-        plan(Q_LOOK, make_cloud(TARGET, beside))
-    plan(Q_LOOK, make_cloud(TARGET, beside + np.array([0.0, 0.06, 0.0])))
-
-
-def test_what_the_hand_holds_goes_up_with_it():
-    crown = block([0.45, 0.165, 0.09], [0.55, 0.235, 0.10])  # of a thing that is wider at its top
-    stem = block([0.445, 0.19, 0.06], [0.46, 0.21, 0.09])
-    grown = make_cloud(TARGET, stem, crown[crown[:, 0] < 0.47])
-    assert plan(Q_LOOK, grown).phase_times

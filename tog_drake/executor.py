@@ -34,7 +34,7 @@ class Phase(Enum):
     MOVE = "move"  # playing the motion
     RETREAT = "retreat"  # it held nothing: back to where the motion began, to look again
     DONE = "done"  # holding its end
-    FAILED = "failed"  # stopping, then holding where the arm no longer followed
+    FAILED = "failed"  # braking, as the arm no longer followed, then holding where that ends
 
 
 _PLAYING = (Phase.MOVE, Phase.RETREAT)
@@ -185,11 +185,10 @@ class GraspExecutor(LeafSystem):
         played, elapsed = _played(s, t)
         commanded = played.arm.value(elapsed).ravel()
         if not np.abs(commanded - q_measured).max() <= self._config.max_tracking_error:
-            # Where a measurement is NaN, the command stays: NaN must never become one.
-            q_hold = np.where(np.isfinite(q_measured), q_measured, commanded)
-            # A command that jumped there would itself break the limits of a real arm. The hand
-            # keeps what it holds; opening it would drop the object.
-            stop = _stop(played.arm, elapsed, q_hold, t)
+            # A command that stopped at once would itself break the limits of a real arm, and one
+            # that went to a measurement that is wrong could lead anywhere. The hand keeps what it
+            # holds; opening it would drop the object.
+            stop = _stop(played.arm, elapsed, t)
             return replace(_holding(s, played, elapsed), phase=Phase.FAILED, stop=stop)
         if elapsed < played.duration:
             return s
@@ -256,11 +255,11 @@ def _holding(s: ExecutorState, motion: GraspMotion, elapsed: float) -> ExecutorS
     )
 
 
-def _stop(arm: Trajectory, elapsed: float, q_end: Array, now: float) -> Callable[[float], Array]:
-    """Returns the command from ``now`` [s] on: from the motion at ``elapsed`` [s] to q_end (7,)."""
+def _stop(arm: Trajectory, elapsed: float, now: float) -> Callable[[float], Array]:
+    """Returns the command from ``now`` [s] on: from the motion at ``elapsed`` [s] to rest."""
     q, velocity, acceleration = (arm.EvalDerivative(elapsed, n).ravel() for n in range(3))
     limits = JointLimits(Q_LOWER, Q_UPPER, V_MAX, A_MAX, J_MAX)
-    stop = come_to_rest(q, velocity, acceleration, q_end, limits)
+    stop = come_to_rest(q, velocity, acceleration, limits)
     return lambda t: stop(t - now)
 
 

@@ -36,6 +36,7 @@ REASONS = {
     "failed_before": "hardly differ from a grasp that failed before",
     "table_collision": "would push the hand into the table",
     "hand_collision": "would push the hand into something that the camera sees",
+    "disturbs_others": "would close on or rise into another thing than what is held",
     "hidden": "would push a finger to where the camera could not see",
     "no_ik": "are out of the arm's reach",
     "no_approach": "cannot be approached in a straight line",
@@ -45,8 +46,8 @@ REASONS = {
 }
 """What a grasp can fail on, in the order of the tests, and how to say it."""
 
-_FAILED, _TABLE, _HAND, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = range(
-    len(REASONS) + 1
+_FAILED, _TABLE, _HAND, _OTHERS, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, _SELF, _FEASIBLE = (
+    range(len(REASONS) + 1)
 )
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
@@ -115,13 +116,15 @@ def feasible_grasps(
     tolerance = config.hand_tolerance
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
-    blocked |= disturbs_others(grasps, points, config.lift_height, config.lift_clearance)
+    others = disturbs_others(grasps, points, config.lift_height, config.lift_clearance)
     hidden = np.zeros(len(grasps), dtype=bool)
     if view is not None:
         hidden = hidden_share(grasps.X_WG, opening, view) > config.max_hidden
     again = _like(grasps, Grasps.empty() if failed is None else failed, config)
     fate = np.select(
-        [again, low, blocked, hidden], [_FAILED, _TABLE, _HAND, _HIDDEN], default=_NO_IK
+        [again, low, blocked, others, hidden],
+        [_FAILED, _TABLE, _HAND, _OTHERS, _HIDDEN],
+        default=_NO_IK,
     )
 
     rows = np.flatnonzero(fate == _NO_IK)

@@ -4,7 +4,7 @@
   and lift, and as the last resort for any other.
 - ``optimize_spline`` finds the fastest spline near a path that keeps its distance from what may
   not be touched: for the long way to the grasp.
-- ``come_to_rest`` leaves the path and stops: for an arm that does not follow.
+- ``come_to_rest`` leaves the path and brakes: for an arm that does not follow.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,6 @@ from pydrake.planning import KinematicTrajectoryOptimization
 from pydrake.polynomial import Polynomial
 from pydrake.solvers import MathematicalProgramResult, SnoptSolver, SolverOptions
 from pydrake.trajectories import BsplineTrajectory, PathParameterizedTrajectory, PiecewisePolynomial
-from scipy.interpolate import BPoly
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.values import Array
@@ -88,31 +87,49 @@ def rest_to_rest(
 
 
 def come_to_rest(
-    q: Array, velocity: Array, acceleration: Array, q_end: Array, limits: JointLimits
+    q: Array, velocity: Array, acceleration: Array, limits: JointLimits
 ) -> Callable[[float], Array]:
-    """Returns the fastest quintic from a moving state to rest, inside the limits.
+    """Returns the command that takes every joint, by itself, to rest as fast as its limits allow.
+
+    In closed form: at the greatest jerk to the braking acceleration, there for a while, and at the
+    greatest jerk back to zero. Velocity is not limited, for nothing makes it larger but the
+    acceleration that is there already. A joint that cannot come to rest before a limit of its
+    position stands still there, abruptly; one that is beyond it already goes no farther.
 
     Args:
         q, velocity, acceleration: (7,) [rad, s] at time 0.
-        q_end: (7,) [rad] where it rests, from the end of the quintic on.
-        limits: of the joints; those of the position are not looked at.
+        limits: of the joints; an acceleration beyond its limit does not grow.
+
+    Returns:
+        From the time [s] since then to the command (7,) [rad].
     """
-    # Where it is too fast already it can only become slower.
-    v, a, j = limits.rates()
-    most = (np.maximum(v, np.abs(velocity)), np.maximum(a, np.abs(acceleration)), j)
-    at_rest = np.zeros_like(q)
-    duration, inside = 0.02, False  # [s]
-    while not inside:
-        duration *= 1.1
-        quintic = BPoly.from_derivatives(
-            [0.0, duration], [[q, velocity, acceleration], [q_end, at_rest, at_rest]]
-        )
-        times = np.linspace(0, duration, 100)
-        inside = all(
-            (np.abs(quintic.derivative(n)(times)) <= (1 + 1e-9) * limit).all()
-            for n, limit in enumerate(most, 1)
-        )
-    return lambda t: np.asarray(quintic(min(t, duration)))
+    j, most = limits.jerk, np.maximum(limits.acceleration, np.abs(acceleration))
+    # The velocity that is left when the acceleration goes straight to zero tells where to brake.
+    left = velocity + acceleration * np.abs(acceleration) / (2 * j)
+    sign = -np.sign(np.where(left == 0, acceleration, left))
+    v, a = sign * velocity, sign * acceleration  # so that to brake is to increase v up to zero
+    # Without a hold, v changes by (peak² − a²) / 2j and then by peak² / 2j.
+    peak = np.minimum(most, np.sqrt(np.maximum(0.0, a**2 / 2 - j * v)))
+    gained = (2 * peak**2 - a**2) / (2 * j)
+    hold = np.divide(-v - gained, peak, out=np.zeros_like(v), where=peak == most)
+    phases = (
+        ((peak - a) / j, sign * j),
+        (np.maximum(0.0, hold), np.zeros_like(j)),
+        (peak / j, -sign * j),
+    )
+    lower, upper = np.minimum(limits.lower, q), np.maximum(limits.upper, q)
+
+    def command(t: float) -> Array:
+        p, v, a, rest = q, velocity, acceleration, t
+        for duration, jerk in phases:
+            dt = np.clip(rest, 0.0, duration)
+            p = p + v * dt + a * dt**2 / 2 + jerk * dt**3 / 6
+            v = v + a * dt + jerk * dt**2 / 2
+            a = a + jerk * dt
+            rest = rest - dt
+        return np.asarray(np.clip(p, lower, upper))
+
+    return command
 
 
 @dataclass

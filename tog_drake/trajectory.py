@@ -10,7 +10,6 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
-from tog_drake.lift_clearance import first_met
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
 from tog_drake.planning_model import PlanningModel
@@ -55,9 +54,8 @@ def plan_motion(
     The hand opens while the arm goes to the pregrasp by the fastest clear spline that is found;
     then come the straight approach, closing, the straight lift and a hold. The segments meet at
     rest. Every segment is checked densely against itself, the known world and the cloud, and
-    against all limits, before it is returned. On the approach the hand is not checked against the
-    cloud: it is there to touch it, and what it may touch was decided with the grasp. While it
-    closes and on the lift, it must meet nothing but what it holds.
+    against all limits, before it is returned. On the approach and the lift the hand is not checked
+    against the cloud: it is there to touch it, and what it may touch was decided with the grasp.
 
     Args:
         choice: which of the grasps, and which others instead.
@@ -95,7 +93,6 @@ def plan_motion(
             obstacles.require_free(
                 grasp.q_pregrasp[0], "the pregrasp posture", "choose another grasp"
             )
-            _require_clear_lift(grasp, points, obstacles)
             motion = _plan_grasp(
                 grasp.q_approach[0], grasp.q_lift[0], q_now, obstacles, config, seed
             )
@@ -106,19 +103,6 @@ def plan_motion(
         motion = replace(motion, grasp_index=row, grasp=grasp, note=note)
         return _with_retreat(motion, obstacles, config, seed) if with_retreat else motion
     raise NoPlan("; ".join(failures))
-
-
-def _require_clear_lift(grasp: FeasibleGrasps, points: Array, obstacles: Obstacles) -> None:
-    """Raises NoPlan if the hand would meet more than the thing that it holds (``grasp``: N = 1)."""
-    X_WG = obstacles.planning_model.X_WG(grasp.q_lift[0])
-    width = float(grasp.width[0])
-    row = first_met(X_WG, width, obstacles.opening, grasp.p_WContact[0], points)
-    if row is not None:
-        when = f"{1e3 * (X_WG[row, 2, 3] - X_WG[0, 2, 3]):.0f} mm up" if row else "as it closes"
-        raise NoPlan(
-            f"the lift is not free: the hand would meet another thing {when}; choose another grasp "
-            "or clear the scene"
-        )
 
 
 def _plan_grasp(
