@@ -51,7 +51,7 @@ _FAILED, _TABLE, _HAND, _OTHERS, _HIDDEN, _NO_IK, _NO_APPROACH, _NO_LIFT, _ARM, 
 )
 _HAND_BODIES = ("panda_hand", *FINGER_BODIES)
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  # about z_G: the other finger takes the other side
-_CHECKED = 16  # every so many points of an approach or a lift are tested; the planner tests all
+_CHECKED = 8  # about every eighth point of an approach or a lift is tested against the cloud
 _APART = 3  # neighbours in the ranking of configurations are alike: every third is tried
 
 
@@ -266,16 +266,18 @@ def _carry_out_from(
     fate[row] = _ARM
     clear = _clear_of_cloud(world, q)
 
-    row, q = row[clear], q[clear]
+    row = row[clear]
     fate[row] = _SELF
     check = world.planning_model.check_configs
+    # Only where approach and lift end; the planner tests all between them, for the chosen grasp.
+    q = np.stack([q_approach[row, 0], q_grasp[row], q_lift[row, -1]], axis=1)
     free = [check(*pair).all() for pair in zip(q, opening[row], strict=True)]
     fate[row[np.array(free, dtype=bool)]] = _FEASIBLE
     return fate, q_approach, q_lift
 
 
 def _checked(path: Array) -> Array:
-    """Returns both ends of paths (N, P, 7) and about every sixteenth point between them."""
+    """Returns both ends of paths (N, P, 7) and about every eighth point between them."""
     steps = path.shape[1] - 1
     return path[:, np.linspace(0, steps, -(-steps // _CHECKED) + 1).round().astype(int)]
 
