@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is slow, not wrong.
+settings.register_profile("tog_drake", deadline=None)
+settings.load_profile("tog_drake")
 
 
 @pytest.fixture(scope="session")
