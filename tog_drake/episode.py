@@ -216,7 +216,6 @@ def _enter_verdict(record: EpisodeRecord, verdict: Verdict) -> None:
     record["strict_success"] = verdict.strict_success
     record["task_compliance"] = verdict.task_compliance
     record["turned"] = verdict.turned
-    record["collisions"] = verdict.collisions
 
 
 def _feasible_by_part(world: World, context: Context, decision: Decision) -> dict[str, int] | None:

@@ -2,10 +2,8 @@
 
 from itertools import pairwise
 
-import numpy as np
-from kit import Material, Piece, Thing, hoop, hull, loft, octagon, sweep
+from kit import Material, Piece, Thing, hoop, hull, loft, octagon, smooth_path, sweep
 from pydrake.geometry import Cylinder
-from scipy.interpolate import CubicSpline
 from vessel import circle, corners, wall
 
 from tog_drake.values import Array
@@ -63,9 +61,7 @@ def handle_rings() -> list[Array]:
         (0.0340, 0.0185),
         (0.0255, 0.0180),
     ]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xz, axis=0), axis=1))])
-    path = CubicSpline(along, xz)(np.linspace(0, along[-1], 25))
-    return sweep(np.insert(path, 1, 0.0, axis=1), [octagon(0.0105, 0.0065, 0.0018)] * 25)
+    return sweep(smooth_path(xz, 25), [octagon(0.0105, 0.0065, 0.0018)] * 25)
 
 
 RINGS = handle_rings()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydrake.geometry import Box, Cylinder, Ellipsoid, Sphere, SurfaceTriangle, TriangleSurfaceMesh
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import CalcSpatialInertia, SpatialInertia
+from scipy.interpolate import CubicSpline
 from scipy.spatial import ConvexHull
 
 from tog_drake.values import Array
@@ -108,6 +109,13 @@ def ring(
 def bar(x: float, z: float, width: float, height: float, chamfer: float) -> Array:
     """A ring of a bar along x, at height ``z``: ``width`` along y, ``height`` along z."""
     return ring(octagon(width, height, chamfer), "x", x, (0, z))
+
+
+def smooth_path(xz: Sequence[tuple[float, float]], count: int) -> Array:
+    """A path (count, 3) in the plane y = 0 through the points x, z, evenly along a cubic spline."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xz, axis=0), axis=1))])
+    path = CubicSpline(along, xz)(np.linspace(0, along[-1], count))
+    return np.insert(path, 1, 0.0, axis=1)
 
 
 def sweep(path: Array, sections: Sequence[Array]) -> list[Array]:

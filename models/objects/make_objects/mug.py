@@ -1,9 +1,7 @@
 """A small stoneware mug."""
 
-import numpy as np
-from kit import Material, Piece, Thing, hull, loft, octagon, sweep
+from kit import Material, Piece, Thing, hull, loft, octagon, smooth_path, sweep
 from pydrake.geometry import Cylinder
-from scipy.interpolate import CubicSpline
 from vessel import circle, wall_and_bottom
 
 from tog_drake.values import Array
@@ -45,9 +43,7 @@ def handle_rings() -> list[Array]:
         (0.0410, 0.0185),
         (0.0300, 0.0180),
     ]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xz, axis=0), axis=1))])
-    path = CubicSpline(along, xz)(np.linspace(0, along[-1], 33))
-    return sweep(np.insert(path, 1, 0.0, axis=1), [octagon(0.0125, 0.0085, 0.0022)] * 33)
+    return sweep(smooth_path(xz, 33), [octagon(0.0125, 0.0085, 0.0022)] * 33)
 
 
 RINGS = handle_rings()
