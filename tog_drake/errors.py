@@ -5,6 +5,11 @@ end an episode: each names the outcome under which it is recorded. A message say
 what would be valid and what to do next; it needs no traceback to be understood.
 """
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tog_drake.values import ChoiceStatus, Exchange
+
 
 class TogError(Exception):
     """Base of every error that tog_drake raises on purpose."""
@@ -35,9 +40,23 @@ class NoFeasibleGrasp(NoGrasp):
 
 
 class NoChoice(EpisodeError):
-    """The selector could not decide. It says why instead of guessing."""
+    """The selector could not decide. It says why instead of guessing.
+
+    Where a model was asked, ``status`` says what became of it and ``exchanges`` what was said.
+    """
 
     outcome = "no_choice"
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        status: "ChoiceStatus | None" = None,
+        exchanges: "tuple[Exchange, ...]" = (),
+    ):
+        super().__init__(message)
+        self.status = status
+        self.exchanges = exchanges
 
 
 class NoPlan(EpisodeError):

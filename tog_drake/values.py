@@ -119,8 +119,44 @@ class Candidates:
         return Candidates(Grasps.empty(), np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
-ChoiceStatus = Literal["ok", "unresolved", "part_not_found", "no_grasp_on_part"]
+AnswerStatus = Literal[
+    "ok",
+    "refused",  # the model would not say
+    "empty",  # it said nothing
+    "truncated",  # it ran out of tokens before it answered, or the connection was cut
+    "too_long",  # more text than is read
+    "unreadable",  # no answer is found in what it said
+    "ambiguous",  # more than one is
+    "out_of_range",  # none of the labels, or a coordinate beyond its scale
+    "off_image",  # a point outside the view
+    "off_object",  # a point on nothing that could be grasped
+    "disagreed",  # two permutations of the same candidates, two answers
+    "timed_out",  # no answer within the deadline
+    "unreachable",  # no connection, or the server is out of order
+    "rejected",  # the server does not take the question: key, model name, parameters
+]
+"""What became of a question to a model."""
+
+ChoiceStatus = Literal[AnswerStatus, "unresolved", "part_not_found", "no_grasp_on_part"]
 """unresolved: the task's words are not understood, or say neither part nor purpose."""
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One question to a model and what it answered, for the record and the report."""
+
+    prompt: str  # name and version of the prompt, such as "gsi/1"
+    text: str  # the question's text; "[image 1]" and so on stand where its images were
+    images: tuple[NDArray[np.uint8], ...]  # as sent, each (H, W, 3) RGB
+    marks: dict[str, int]  # label -> row of ``Candidates.grasps``; empty where nothing is marked
+    key: str  # of the question, under which a cassette has it
+    answer: str | None  # verbatim; None: none came
+    status: AnswerStatus
+    message: str  # what is wrong with the answer; "" where nothing is
+    model: str | None  # as the server named it; it may differ from what was asked for
+    seconds: float  # latency, that of the recording where it was replayed
+    tokens: dict[str, int] | None  # input, output, reasoning, as far as the server says
+    cost: float | None  # [USD]; None where the price is not known
 
 
 @dataclass(frozen=True)
@@ -133,9 +169,10 @@ class Choice:
     status: ChoiceStatus = "ok"  # what the selector could not resolve, if anything
     part: str | None = None  # the part that the selector believes to hold, in its own words
     pixel: tuple[float, float] | None = None  # (u, v) of the contact point in the view shown
-    raw_answer: str | None = None  # what a model answered, verbatim
     alternatives: tuple[int, ...] = ()
     """Rows of ``Candidates.grasps`` to try, best first, where no motion to ``index`` is found."""
+    exchanges: tuple[Exchange, ...] = ()  # the questions to a model and its answers, in order
+    fallback: str | None = None  # the selector that chose because the model's answer was no use
 
     @staticmethod
     def none() -> "Choice":
