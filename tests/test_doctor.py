@@ -45,6 +45,34 @@ def _not_there(name):
     raise ImportError(f"No module named {name!r}")
 
 
+KEYS = ("OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY")
+
+
+@pytest.mark.parametrize("key", ["sk-planted-0123456789", "\x1b[2Jx"])
+def test_it_says_whether_a_key_is_set_and_nothing_else_of_it(key, monkeypatch):
+    for variable in KEYS:
+        monkeypatch.setenv(variable, key)
+    found = [doctor._check("key", lambda v=v: doctor._key(v)) for v in doctor._KEYS.values()]
+    assert [(check.ok, check.found) for check in found] == [
+        (True, "set in OPENAI_API_KEY"),
+        (True, "set in GOOGLE_API_KEY"),
+        (True, "set in ANTHROPIC_API_KEY"),
+    ]
+
+
+@pytest.mark.parametrize("key", [None, "", "  "])
+def test_a_key_that_is_missing_or_empty_comes_with_the_command_that_sets_it(key, monkeypatch):
+    for variable in KEYS:
+        if key is None:
+            monkeypatch.delenv(variable, raising=False)
+        else:
+            monkeypatch.setenv(variable, key)
+    check = doctor._check("key", lambda: doctor._key(doctor._KEYS["Gemini"]), required=False)
+    assert (check.ok, check.found) == (False, "set it with: export GEMINI_API_KEY=...")
+    monkeypatch.setenv("GEMINI_API_KEY", "x")
+    assert doctor._key(doctor._KEYS["Gemini"]) == "set in GEMINI_API_KEY"
+
+
 def test_a_module_that_is_installed_but_cannot_be_loaded_is_a_problem(monkeypatch):
     def broken(name):
         raise ImportError("libGL.so.1: cannot open shared object file")

@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import subprocess
+import unicodedata
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from tog_drake.files import write_atomically
 from tog_drake.report import EpisodeReport, _spread, report_html, write_report
-from tog_drake.values import GraspMotion, Intrinsics, View
+from tog_drake.values import Exchange, GraspMotion, Intrinsics, View
 from tog_drake.visualization import make_meshcat, replay_html
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
@@ -183,6 +184,119 @@ def test_everything_that_came_from_outside_is_escaped():
     assert page.tags.count("img") == ours.tags.count("img")
     assert not [a for a in page.attributes if a[1].startswith("on")]
     assert "49" not in re.findall(r"(\d+) \}\}", page.text) and "{{ 7*7 }}" in page.text
+
+
+HOSTILE = {
+    "script": "</script><script>alert(1)</script>",
+    "pre": "</pre><img src=x onerror=alert(1)><iframe srcdoc='<script>alert(2)</script>'>",
+    "template": "{{ 7*7 }}{% raw %}",
+    "controls": "\x00\x07\x1b[2J\x9b31m\x7f",
+    "overrides": "\u202egnorw\u202c \u2066x\u2069 \u200b",
+    "surrogates": "\ud800 and \udfff",
+    "long": 100_000 * "so ",
+    "entities": "&lt;b&gt; &#x202e;",
+}
+
+
+def make_exchange(answer="2", **changes):
+    """A question with two images, and what a model made of it."""
+    image = np.random.default_rng(1).integers(0, 256, (224, 224, 3), dtype=np.uint8)
+    clean = np.full((224, 224, 3), 200, np.uint8)
+    said = {
+        "prompt": "gsi/1",
+        "text": "Which hand fits?\n[image 1]\n[image 2]",
+        "images": (clean, image),
+        "marks": {"1": 12, "2": 4},
+        "key": "0123abcd",
+        "answer": answer,
+        "status": "ok",
+        "message": "",
+        "model": "gpt-9-2026-01-01",
+        "seconds": 0.81,
+        "tokens": {"input": 1200, "output": 34},
+        "cost": 0.00123,
+    }
+    return Exchange(**(said | changes))
+
+
+def make_vlm(**changes):
+    return {
+        "strategy": "gsi",
+        "rendering": "marked",
+        "model": "openai:gpt-9",
+        "status": "ok",
+        "fallback": None,
+        **changes,
+    }
+
+
+def test_the_page_tells_what_a_model_was_asked_and_what_it_said():
+    episode = EpisodeReport(make_record(vlm=make_vlm()), exchanges=(make_exchange(),))
+    page = text_of(report_html([episode]))
+    for said in (
+        "What the model was asked",
+        "Strategy gsi",
+        "Model asked for openai:gpt-9",
+        "Question 1 gsi/1 ok",
+        "Image 1 224×224",
+        "Which hand fits?",
+        "Answer 2",
+        "1 is grasp 12; 2 is grasp 4 (chosen)",
+        "Model that answered gpt-9-2026-01-01",
+        "0.8 s, 1,234 tokens, $0.0012",
+        "1,200 input, 34 output",
+        "Key 0123abcd",
+    ):
+        assert said in page.text, said
+    assert page.tags.count("img") == 2
+    assert "What the model was asked" not in report_html([EpisodeReport(make_record())])
+
+
+def test_the_page_tells_of_an_answer_that_was_no_use_and_who_chose_instead():
+    nothing = make_exchange(
+        None, status="timed_out", message="no answer in 60 s", model=None, tokens=None, cost=None
+    )
+    record = make_record(vlm=make_vlm(status="timed_out", fallback="geometric"))
+    page = text_of(report_html([EpisodeReport(record, exchanges=(make_exchange("7"), nothing))]))
+    for said in (
+        "Fallback geometric, which made the choice",
+        "Question 2 gsi/1 timed out",
+        "Answer None came. What is wrong no answer in 60 s",
+        "Model that answered not said",
+        "0.8 s, price unknown",
+        "1.6 s, price unknown",  # in all
+    ):
+        assert said in page.text, said
+
+
+def test_an_image_that_is_asked_about_again_is_carried_once():
+    asked = make_exchange("?", status="unreadable"), make_exchange()
+    page = text_of(report_html([EpisodeReport(make_record(vlm=make_vlm()), exchanges=asked)]))
+    assert page.tags.count("img") == 2
+    assert "Image 2 224×224, the same as image 2 of question 1" in page.text
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_whatever_a_model_says_is_inert_and_short(kind):
+    said = HOSTILE[kind]
+    everything = make_exchange(
+        said, prompt=said, text=said, message=said, model=said, key=said, marks={said: 1}
+    )
+    record = make_record(
+        choice={"reason": said, "part": said, "status": "ok"},
+        vlm=make_vlm(strategy=said, model=said, status=said, exchanges=[{"answer": said}]),
+    )
+    html = report_html([EpisodeReport(record, exchanges=(everything,))])
+    ours = report_html([EpisodeReport(make_record(vlm=make_vlm()), exchanges=(make_exchange(),))])
+    page, plain = text_of(html), text_of(ours)
+    html.encode()
+    for tag in ("script", "img", "iframe", "pre", "meta"):
+        assert page.tags.count(tag) == plain.tags.count(tag), tag
+    assert not [a for a in page.attributes if a[1].startswith("on") or a[1] == "srcdoc"]
+    assert "script-src 'unsafe-inline'" in html  # the policy stands
+    hidden = {c for c in page.text if unicodedata.category(c) in ("Cc", "Cf", "Cs")}
+    assert hidden == set()
+    assert len(html) < len(ours) + 60_000
 
 
 def test_the_page_asks_nobody_for_anything():

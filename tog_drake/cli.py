@@ -21,6 +21,7 @@ from tog_drake.terminal import (
     print_stages,
     say,
 )
+from tog_drake.visible_text import visible
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -353,7 +354,7 @@ def _fail(error: BaseException, status: int, debug: bool) -> NoReturn:
     message = " ".join(str(error).split())
     if status == 3:
         message = f"internal error, {type(error).__name__}: {message} (--debug shows where)"
-    sys.stderr.write(f"tog: {message}\n")
+    sys.stderr.write(f"tog: {visible(message)}\n")
     sys.exit(status)
 
 

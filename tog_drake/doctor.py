@@ -1,11 +1,12 @@
 """Checks whether this machine can run tog_drake, and says how to mend what it cannot."""
 
 import importlib
+import os
 import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -14,6 +15,12 @@ from pathlib import Path
 _LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
 # extra -> (module, what it is for)
 _EXTRAS = {"cgn": ("torch", "Contact-GraspNet"), "meshcat": ("meshcat", "meshcat-python")}
+# provider -> environment variables that its key is looked for in, in that order
+_KEYS = {
+    "OpenAI": ("OPENAI_API_KEY",),
+    "Gemini": ("GOOGLE_API_KEY", "GEMINI_API_KEY"),
+    "Anthropic": ("ANTHROPIC_API_KEY",),
+}
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,8 @@ def run_checks() -> list[Check]:
         _check("disk", _disk),
         _check("graphviz (tog diagram)", _graphviz, required=False),
     ]
+    for provider, variables in _KEYS.items():
+        checks.append(_check(f"key of {provider}", partial(_key, variables), required=False))
     for extra, (module, purpose) in _EXTRAS.items():
         checks.append(
             _check(
@@ -126,3 +135,11 @@ def _extra(module: str, extra: str) -> str:
     except ImportError as error:
         raise _ProblemError(f"install it with: pip install 'tog_drake[{extra}]'") from error
     return metadata.version(module)
+
+
+def _key(variables: Sequence[str]) -> str:
+    """Says where the key is set, and nothing of the key itself."""
+    for variable in variables:
+        if os.environ.get(variable, "").strip():
+            return f"set in {variable}"
+    raise _ProblemError(f"set it with: export {variables[-1]}=...")

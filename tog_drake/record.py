@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -205,6 +206,23 @@ def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float]]:
         count = counts.get(key)
         rows.append((stage, "" if count is None else f"{count} {noun}", time))
     return rows
+
+
+def usage(
+    seconds: float, tokens: Sequence[Mapping[str, int] | None], costs: Sequence[float | None]
+) -> str:
+    """Returns what questions to a model took, such as "0.8 s, 1,234 tokens, $0.0012".
+
+    Tokens are those read and written, reasoning with the latter; what is unknown of one question
+    is unknown of all.
+    """
+    said = [f"{seconds:.1f} s"]
+    known = [t["input"] + t["output"] for t in tokens if t and {"input", "output"} <= t.keys()]
+    if len(known) == len(tokens):
+        said.append(f"{sum(known):,} tokens")
+    priced = [cost for cost in costs if cost is not None]
+    said.append(f"${sum(priced):.4f}" if len(priced) == len(costs) else "price unknown")
+    return ", ".join(said)
 
 
 def save_record(path: Path, record: EpisodeRecord) -> None:

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 
 from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
-from tog_drake.values import GraspMotion, View
+from tog_drake.record import usage
+from tog_drake.values import Exchange, GraspMotion, View
+from tog_drake.visible_text import visible
 
 # The stages in the order of the data: key in the record's ``seconds``, and what it says.
 STAGES = {
@@ -39,6 +41,9 @@ FUNNEL = {
 }
 
 
+LONGEST = 2000  # characters of a text from outside that the page shows
+
+
 @dataclass(frozen=True)
 class EpisodeReport:
     """One episode as the report shows it. What is None, because a stage failed, is left out."""
@@ -48,6 +53,7 @@ class EpisodeReport:
     decision: NDArray[np.uint8] | None = None  # (H, W, 3) see drawing.decision_image
     motion: GraspMotion | None = None  # as planned
     replay: str | None = None  # see visualization.replay_html
+    exchanges: Sequence[Exchange] = ()  # what a model was asked, and what it said
 
 
 def write_report(
@@ -83,22 +89,105 @@ def report_html(episodes: Sequence[EpisodeReport], *, title: str = "Grasping by 
 def _page_of(episode: EpisodeReport) -> dict[str, Any]:
     """Returns what the template shows of an episode, as plain values."""
     # Whatever a failed stage left out reads as an empty mapping, so that the template need not ask.
-    record = {key: value for key, value in episode.record.items() if value is not None}
+    record = {key: _shown(value) for key, value in episode.record.items() if value is not None}
     for group in ("choice", "counts", "held", "rejected", "seconds", "selector", "sim"):
         record.setdefault(group, {})
     view = episode.view
     return {
         "record": record,
         "held": _held(record["held"]),
-        "json": json.dumps(dict(episode.record), indent=2, ensure_ascii=False, default=str),
+        "json": json.dumps(_shown(dict(episode.record)), indent=2, ensure_ascii=False, default=str),
         "rgb": None if view is None else _data_url(view.rgb),
         "depth": None if view is None else _data_url(depth_image(view.depth)),
         "depth_range": None if view is None else depth_range(view.depth),
         "decision": None if episode.decision is None else _data_url(episode.decision),
+        "asked": _asked(record.get("vlm", {}), episode.exchanges, record["choice"].get("index")),
         "stages": _timings(record["seconds"]),
         "motion": None if episode.motion is None else _plot(episode.motion),
         "replay": None if episode.replay is None else _pack(episode.replay),
     }
+
+
+def _shown(value: Any) -> Any:
+    """Returns a value of the record with each text in it, from wherever it came, fit to be shown.
+
+    ``episode.json`` itself has the texts as they are and whole.
+    """
+    if isinstance(value, str):
+        return visible(value, limit=LONGEST, lines=True)
+    if isinstance(value, Mapping):
+        return {_shown(key): _shown(content) for key, content in value.items()}
+    if isinstance(value, list | tuple):
+        return [_shown(content) for content in value]
+    return value
+
+
+def _asked(
+    vlm: Mapping[str, Any], exchanges: Sequence[Exchange], chosen: int | None
+) -> dict[str, Any] | None:
+    """Returns what the template shows of the questions to a model; None where there were none."""
+    if not exchanges:
+        return None
+    fallback = vlm.get("fallback")
+    first: dict[bytes, str] = {}  # an image that is sent again is shown once
+    return {
+        "summary": {
+            "Strategy": vlm.get("strategy"),
+            "Rendering": vlm.get("rendering"),
+            "Model asked for": vlm.get("model"),
+            "Status": _words(vlm.get("status") or exchanges[-1].status),
+            "Fallback": f"{fallback}, which made the choice" if fallback else "not needed",
+            "In all": usage(
+                sum(exchange.seconds for exchange in exchanges),
+                [exchange.tokens for exchange in exchanges],
+                [exchange.cost for exchange in exchanges],
+            ),
+        },
+        "questions": [
+            _question(number, exchange, first, chosen)
+            for number, exchange in enumerate(exchanges, 1)
+        ],
+    }
+
+
+def _question(
+    number: int, exchange: Exchange, first: dict[bytes, str], chosen: int | None
+) -> dict[str, Any]:
+    answer = exchange.answer
+    marks = [
+        f"{label} is grasp {row}" + (" (chosen)" if row == chosen else "")
+        for label, row in exchange.marks.items()
+    ]
+    return {
+        "number": number,
+        "prompt": visible(exchange.prompt, limit=100),
+        "status": exchange.status,
+        "images": [_image(image, number, i, first) for i, image in enumerate(exchange.images, 1)],
+        "text": visible(exchange.text, limit=4 * LONGEST, lines=True),
+        "answer": None if answer is None else visible(answer, limit=LONGEST, lines=True),
+        "facts": {
+            "What is wrong": visible(exchange.message, limit=LONGEST) or None,
+            "Marks": visible("; ".join(marks), limit=LONGEST) or None,
+            "Model that answered": (
+                "not said" if exchange.model is None else visible(exchange.model, limit=100)
+            ),
+            "It took": usage(exchange.seconds, [exchange.tokens], [exchange.cost]),
+            "Tokens": ", ".join(f"{n:,} {of}" for of, n in (exchange.tokens or {}).items()) or None,
+            "Key": visible(exchange.key, limit=100),
+        },
+    }
+
+
+def _image(
+    image: NDArray[np.uint8], number: int, i: int, first: dict[bytes, str]
+) -> dict[str, str | None]:
+    """An image as it was sent, or where it was shown before."""
+    size = f"{image.shape[1]}×{image.shape[0]}"
+    content = image.tobytes()
+    if content in first:
+        return {"source": None, "text": f"{size}, the same as {first[content]}"}
+    first[content] = f"image {i} of question {number}"
+    return {"source": _data_url(image, compression=9), "text": size}
 
 
 def _held(shares: Mapping[str, float]) -> str | None:
@@ -170,8 +259,9 @@ def _spread(heights: list[float], apart: float = 12.0) -> list[float]:
     return placed
 
 
-def _data_url(image: NDArray[np.uint8]) -> str:
-    return "data:image/png;base64," + base64.b64encode(encode_png(image)).decode()
+def _data_url(image: NDArray[np.uint8], compression: int = 1) -> str:
+    png = encode_png(image, compression=compression)
+    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def _pack(page: str) -> str:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from tog_drake.visible_text import visible
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -31,8 +33,11 @@ def console_for(as_json: bool) -> Console:
 
 
 def say(console: Console, text: str) -> None:
-    """Prints one line as it is: a path or a command broken in two could not be copied."""
-    console.print(text, soft_wrap=True)
+    """Prints one line as it is: a path or a command broken in two could not be copied.
+
+    Control characters, which a model or a file may have put into it, become visible.
+    """
+    console.print(visible(text), soft_wrap=True)
 
 
 def print_json(as_json: bool, content: Any) -> None:
@@ -62,7 +67,8 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     """The short table: stage, how many, ms; then what came of it."""
     from tog_drake.record import stage_rows
 
-    table = Table("stage", "how many", "ms", title=record["task"], title_justify="left")
+    task = visible(record["task"])
+    table = Table("stage", "how many", "ms", title=task, title_justify="left")
     table.columns[1].justify = table.columns[2].justify = "right"
     for stage, count, seconds in stage_rows(record):
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
