@@ -91,6 +91,11 @@ def project_segments(p_WEnds: Array, view: View) -> Array:
     return pixels
 
 
+def mark_scale(width: int, height: int) -> float:
+    """Returns by how much marks grow in an image of this size [pixel]: 1 at 640×480 and below."""
+    return max(1.0, min(width, height) / 480)
+
+
 def draw_grasps(
     view: View,
     grasps: Grasps,
@@ -115,16 +120,16 @@ def draw_grasps(
     """
     import cv2
 
-    scale = max(1.0, min(view.rgb.shape[1] / 640, view.rgb.shape[0] / 480))
+    scale = mark_scale(view.rgb.shape[1], view.rgb.shape[0])
     pixels = project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
     rgb = np.broadcast_to(np.asarray(colors), (len(grasps), 3)).tolist()
     image = np.ascontiguousarray(view.rgb).copy()
     for lines, color in zip(pixels.reshape(-1, 4, 2, 2)[::-1], rgb[::-1], strict=True):
-        _draw_outlined(image, lines, color, thickness * scale)
+        draw_outlined(image, lines, color, thickness * scale)
     if contacts and len(grasps):
         dots = np.repeat(grasps.p_WContact[:, None], 2, axis=1)
         for (center, _), color in zip(project_segments(dots, view)[::-1], rgb[::-1], strict=True):
-            _draw_dot(image, center, color, 2.0 * thickness * scale)
+            draw_dot(image, center, color, 2.0 * thickness * scale)
     if opacity == 1.0:
         return image
     return np.asarray(cv2.addWeighted(image, opacity, view.rgb, 1.0 - opacity, 0.0), np.uint8)
@@ -195,8 +200,11 @@ def encode_png(rgb: Image, *, compression: int = 1) -> bytes:
 _SHIFT = 4  # cv2 takes pixels as integers in units of 2^-4: lines keep their subpixel place
 
 
-def _draw_outlined(image: Image, lines: Array, color: Sequence[int], thickness: float) -> None:
-    """Draws (S, 2, 2) lines [pixel] over a dark rim, which keeps them legible on any ground."""
+def draw_outlined(image: Image, lines: Array, color: Sequence[int], thickness: float) -> None:
+    """Draws (S, 2, 2) lines [pixel] into ``image``, over a dark rim that sets them off.
+
+    Lines with an end that is NaN are left out.
+    """
     import cv2
 
     lines = lines[np.isfinite(lines).all(axis=(1, 2))]
@@ -206,13 +214,14 @@ def _draw_outlined(image: Image, lines: Array, color: Sequence[int], thickness: 
         cv2.polylines(image, ends, False, ink, max(1, round(stroke)), cv2.LINE_AA, _SHIFT)
 
 
-def _draw_dot(image: Image, center: Array, color: Sequence[int], radius: float) -> None:
+def draw_dot(image: Image, center: Array, color: Sequence[int], radius: float) -> None:
+    """Draws a dot at (2,) [pixel] into ``image``, in a white and a dark ring; nothing at NaN."""
     import cv2
 
     if not np.isfinite(center).all():
         return
     u, v = np.round(center * 2**_SHIFT).astype(int).tolist()
-    rings = ((1.0, OUTLINE_COLOR), (0.84, (255, 255, 255)), (0.62, OUTLINE_COLOR), (0.5, color))
+    rings = ((1.0, OUTLINE_COLOR), (0.86, (255, 255, 255)), (0.64, OUTLINE_COLOR), (0.56, color))
     for share, ink in rings:
         size = round(share * radius * 2**_SHIFT)
         cv2.circle(image, (u, v), size, ink, cv2.FILLED, cv2.LINE_AA, _SHIFT)
