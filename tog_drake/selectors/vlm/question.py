@@ -83,6 +83,7 @@ class Api(Protocol):
     """
 
     model: str  # as it is asked for
+    max_tokens: int  # of an answer, reasoning included
 
     @property
     def provider(self) -> str:
@@ -107,4 +108,11 @@ class Api(Protocol):
 
     def read(self, body: Any) -> Reply:
         """What a response of status 200 says. Raises Unanswered where that is nothing."""
+        ...
+
+    def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
+        """The request without what a status 400 says is not taken, and the name of that.
+
+        None where the complaint is about something that the request cannot do without.
+        """
         ...

@@ -1,0 +1,93 @@
+"""Anthropic's messages.
+
+https://docs.claude.com/en/api/messages
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from tog_drake.selectors.vlm.bodies import at, count_at, spare, text_at, token_counts
+from tog_drake.selectors.vlm.keys import require_key
+from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+
+_OPTIONAL = {
+    r"output_config\.effort|effort": (("output_config", "effort"),),
+    r"output_config\.format|structured.output|json_schema|output_format": (
+        ("output_config", "format"),
+    ),
+    r"output_config(?!\.)": (("output_config",),),
+}
+_FINISH: dict[str, Literal["length", "refusal"]] = {
+    "max_tokens": "length",
+    "model_context_window_exceeded": "length",
+    "refusal": "refusal",
+}
+
+
+@dataclass
+class Anthropic:
+    """A Claude model of Anthropic."""
+
+    model: str = ""  # such as claude-sonnet-5-5
+    base_url: str = "https://api.anthropic.com"  # what comes before /v1/messages
+    profile: str | None = None  # how the model points; None: as its name tells
+    key_variable: str = "ANTHROPIC_API_KEY"  # environment variable that holds the key
+    max_tokens: int = 4096  # of an answer, reasoning included
+    effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
+
+    @property
+    def provider(self) -> str:
+        return "anthropic"
+
+    def path(self) -> str:
+        return urlsplit(self.url()).path
+
+    def url(self) -> str:
+        return self.base_url.rstrip("/") + "/v1/messages"
+
+    def headers(self) -> dict[str, str]:
+        key = require_key([self.key_variable], self.url())
+        return {"x-api-key": key, "anthropic-version": "2023-06-01"}
+
+    def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:
+        config: dict[str, Any] = {}
+        if self.effort is not None:
+            config["effort"] = self.effort
+        if message.schema is not None:
+            config["format"] = {"type": "json_schema", "schema": dict(message.schema)}
+        body = {
+            "model": self.model,
+            "max_tokens": message.max_tokens,
+            "messages": [{"role": "user", "content": [_part(p, encode) for p in message.parts]}],
+        }
+        return {**body, "output_config": config} if config else body
+
+    def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
+        return spare(body, complaint, _OPTIONAL)
+
+    def read(self, body: Any) -> Reply:
+        content = at(body, "content")
+        if not isinstance(content, list):
+            raise Unanswered("unreachable", "the server's answer holds no list named content")
+        finish: Literal["stop", "length", "refusal"]
+        finish = _FINISH.get(text_at(body, "stop_reason"), "stop")
+        return Reply(
+            text="".join(text_at(b, "text") for b in content if at(b, "type") == "text"),
+            finish=finish,
+            model=text_at(body, "model") or None,
+            tokens=token_counts(
+                count_at(body, "usage", "input_tokens"),
+                count_at(body, "usage", "output_tokens"),
+                count_at(body, "usage", "output_tokens_details", "thinking_tokens"),
+            ),
+            refusal=text_at(body, "stop_details", "explanation") if finish == "refusal" else "",
+        )
+
+
+def _part(part: str | Image, encode: Callable[[Image], str]) -> dict[str, Any]:
+    if isinstance(part, str):
+        return {"type": "text", "text": part}
+    source = {"type": "base64", "media_type": "image/png", "data": encode(part)}
+    return {"type": "image", "source": source}

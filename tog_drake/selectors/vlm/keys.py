@@ -1,0 +1,108 @@
+"""API keys: taken from the environment, sent where nobody listens in, shown nowhere."""
+
+import os
+import re
+import unicodedata
+from collections.abc import Iterable, Mapping
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from tog_drake.errors import InputError
+
+_VARIABLE = re.compile(r"[A-Z][A-Z0-9_]*_API_KEY")
+_PUBLIC_HEADERS = frozenset({"accept", "accept-encoding", "anthropic-version", "content-type"})
+_SHORTEST = 8  # characters; a shorter "key" is a placeholder such as "EMPTY", which is no secret
+HIDDEN = "[key]"
+
+
+def read_key(variable: str, url: str) -> str | None:
+    """Returns the key in the environment variable, or None where there is none to be sent.
+
+    None also where ``url`` is neither https nor on this machine: others could read the key.
+
+    Raises:
+        InputError: the variable's name or what it holds cannot be that of a key.
+    """
+    if not _VARIABLE.fullmatch(variable):
+        raise InputError(
+            f"key_variable {variable!r} is no name of a key; valid: one that ends in _API_KEY"
+        )
+    key = os.environ.get(variable, "").strip()
+    if not key.isascii() or not key.isprintable() or " " in key:
+        raise InputError(f"what {variable} holds cannot be a key: it has blanks or odd characters")
+    return key if key and is_private(url) else None
+
+
+def require_key(variables: Iterable[str], url: str) -> str:
+    """Returns the first key there is among the variables; raises InputError where none is."""
+    variables = tuple(variables)
+    for variable in variables:
+        if key := read_key(variable, url):
+            return key
+    if not is_private(url):
+        raise InputError(f"a key is not sent to {url}; valid: https, or a server on this machine")
+    raise InputError(f"no key: set the environment variable {' or '.join(variables)}")
+
+
+def is_private(url: str) -> bool:
+    """Whether what is sent there can be read by its server alone: https, or this machine."""
+    return urlsplit(url).scheme == "https" or is_loopback(url)
+
+
+def is_loopback(url: str) -> bool:
+    """Whether the URL's host is this machine."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def secrets_in(headers: Mapping[str, str]) -> list[str]:
+    """Returns the values of the headers that are not public, without their scheme (Bearer)."""
+    values = (v for k, v in headers.items() if k.lower() not in _PUBLIC_HEADERS)
+    return [word for value in values for word in value.split() if len(word) >= _SHORTEST]
+
+
+def redact(text: str, secrets: Iterable[str]) -> str:
+    """Returns the text with ``[key]`` for every stretch of a secret of 8 characters or more."""
+    stretches = {
+        secret[i : i + _SHORTEST].lower()
+        for secret in secrets
+        for i in range(len(secret) - _SHORTEST + 1)
+    }
+    lower = text.lower()
+    hidden: list[tuple[int, int]] = []
+    for stretch in stretches:
+        start = lower.find(stretch)
+        while start >= 0:
+            hidden.append((start, start + _SHORTEST))
+            start = lower.find(stretch, start + 1)
+    if not hidden:
+        return text
+    shown: list[str] = []
+    end = 0
+    for first, last in sorted(hidden):
+        if first > end or not shown:
+            shown += [text[end:first], HIDDEN]
+        end = max(end, last)
+    return "".join([*shown, text[end:]])
+
+
+def quoted(text: str, secrets: Iterable[str] = (), length: int = 200) -> str:
+    """Returns what somebody else wrote, fit for a message: one line, no control characters.
+
+    Args:
+        text: from a server or a model.
+        secrets: that are not to be shown.
+        length: of the result, at most, without the quotation marks.
+    """
+    text = text[: 20 * length]
+    odd = ("C", "Zl", "Zp")  # control, format (bidirectional, zero width), surrogate, line ends
+    kept = "".join(
+        " " if c.isspace() else c
+        for c in text
+        if c.isspace() or not unicodedata.category(c).startswith(odd)
+    )
+    line = redact(" ".join(kept.split()), secrets)
+    return f'"{line[:length]}…"' if len(line) > length else f'"{line}"'
