@@ -54,6 +54,7 @@ class Message:
     parts: tuple[str | Image, ...]  # those of the question, then how to answer
     schema: Mapping[str, Any] | None  # JSON schema of the answer; None: the model's own format
     max_tokens: int  # of the answer, reasoning included
+    prompt: str = ""  # name and version of the question's prompt; it is not sent
 
 
 @dataclass(frozen=True)
