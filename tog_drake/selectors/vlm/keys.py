@@ -2,12 +2,12 @@
 
 import os
 import re
-import unicodedata
 from collections.abc import Iterable, Mapping
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 from tog_drake.errors import InputError
+from tog_drake.visible_text import visible
 
 _VARIABLE = re.compile(r"[A-Z][A-Z0-9_]*_API_KEY")
 _PUBLIC_HEADERS = frozenset({"accept", "accept-encoding", "anthropic-version", "content-type"})
@@ -89,20 +89,13 @@ def redact(text: str, secrets: Iterable[str]) -> str:
     return "".join([*shown, text[end:]])
 
 
-def quoted(text: str, secrets: Iterable[str] = (), length: int = 200) -> str:
-    """Returns what somebody else wrote, fit for a message: one line, no control characters.
+def quoted(text: str, secrets: Iterable[str] = (), limit: int = 200) -> str:
+    """Returns what somebody else wrote, fit for a message: on one line, and nothing hidden in it.
 
     Args:
-        text: from a server or a model.
+        text: from a server.
         secrets: that are not to be shown.
-        length: of the result, at most, without the quotation marks.
+        limit: the greatest number of characters that is shown.
     """
-    text = text[: 20 * length]
-    odd = ("C", "Zl", "Zp")  # control, format (bidirectional, zero width), surrogate, line ends
-    kept = "".join(
-        " " if c.isspace() else c
-        for c in text
-        if c.isspace() or not unicodedata.category(c).startswith(odd)
-    )
-    line = redact(" ".join(kept.split()), secrets)
-    return f'"{line[:length]}…"' if len(line) > length else f'"{line}"'
+    line = " ".join(text[: 20 * limit].split())
+    return f'"{visible(redact(line, secrets), limit=limit)}"'

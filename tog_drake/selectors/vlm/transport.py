@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, text_at
@@ -36,7 +36,7 @@ RETRYABLE = frozenset({408, 409, 429, 500, 502, 503, 504, 529})
 class Rejected(Unanswered):
     """The server does not take the request: ``code`` is its HTTP status, ``complaint`` why."""
 
-    def __init__(self, message: str, code: int, complaint: str):
+    def __init__(self, message: str, code: int, complaint: str = ""):
         super().__init__("rejected", message)
         self.code = code
         self.complaint = complaint
@@ -140,22 +140,19 @@ def _keep(request: Any) -> Any:
 
 def _text_of(response: "Response", deadline: float) -> str:
     """Reads the response as it comes in, no more of it than ``MAX_BYTES``."""
-    from urllib3.exceptions import HTTPError
+    from requests import RequestException
 
     received = bytearray()
     try:
-        while chunk := response.raw.read1(65536):
+        for chunk in response.iter_content(1024):
             received += chunk
             if len(received) > MAX_BYTES:
                 raise Unanswered("too_long", f"the answer is longer than {MAX_BYTES} bytes")
             if time.monotonic() > deadline:
                 raise Unanswered("timed_out", "the answer is not complete at the deadline")
-    except (HTTPError, OSError) as error:
-        raise _Again(
-            Unanswered(
-                "truncated", f"the connection was cut in the answer ({type(error).__name__})"
-            )
-        ) from None
+    except RequestException as error:
+        message = f"the connection was cut in the answer ({type(error).__name__})"
+        raise _Again(Unanswered("truncated", message)) from None
     return received.decode("utf-8", errors="replace")
 
 
@@ -165,23 +162,23 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
     if 300 <= code < 400:
         there = quoted(response.headers.get("Location", "nowhere"), secrets)
         message = f"{_host(url)} redirects (status {code}) to {there}; give the right URL"
-        raise Rejected(message, code, "")
+        raise Rejected(message, code)
     try:
-        body = json.loads(text)
+        body = _cleaned(json.loads(text, parse_constant=_no_number), secrets)
     except (ValueError, RecursionError):
         body = None
     if code == 200:
         if body is None:
             message = f"{_host(url)} answers with something else than JSON: {quoted(text, secrets)}"
             raise Unanswered("unreachable", message)
-        return _cleaned(body, secrets)
-    complaint = quoted(_complaint(body, text), secrets, 1000)
-    message = f"{_host(url)} answers with status {code}: {complaint[:300]}"
+        return body
+    complaint = _complaint(body, text)
+    message = f"{_host(url)} answers with status {code}: {quoted(complaint, secrets)}"
     if code in RETRYABLE and response.headers.get("x-should-retry") != "false":
         raise _Again(Unanswered("unreachable", message), _asked_delay(response, body))
     if code >= 500:
         raise Unanswered("unreachable", message)
-    raise Rejected(message + _HINTS.get(code, ""), code, complaint)
+    raise Rejected(message + _HINTS.get(code, ""), code, quoted(complaint, secrets, 1000))
 
 
 _HINTS = {
@@ -220,6 +217,10 @@ def _asked_delay(response: "Response", body: Any) -> float | None:
         if isfinite(delay) and delay >= 0.0:
             return delay
     return None
+
+
+def _no_number(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _until(date: str) -> float:

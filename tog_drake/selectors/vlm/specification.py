@@ -1,0 +1,69 @@
+"""Models in one line, as the command takes them: ``PROVIDER:MODEL`` or ``PROVIDER:MODEL@URL``."""
+
+import re
+from urllib.parse import urlsplit
+
+from tog_drake.errors import InputError
+from tog_drake.selectors.vlm.anthropic import Anthropic
+from tog_drake.selectors.vlm.gemini import Gemini
+from tog_drake.selectors.vlm.openai import Molmo, OpenAi, Qwen
+
+ModelConfig = OpenAi | Gemini | Anthropic | Molmo | Qwen
+
+PROVIDERS: dict[str, type[ModelConfig]] = {
+    "openai": OpenAi,
+    "gemini": Gemini,
+    "anthropic": Anthropic,
+    "molmo": Molmo,
+    "qwen": Qwen,
+}
+VALID = (
+    "openai:MODEL, openai:MODEL@URL (vLLM, Ollama, llama.cpp ...), gemini:MODEL, anthropic:MODEL, "
+    "molmo:MODEL@URL, qwen:MODEL@URL"
+)
+# A model's name may hold colons (qwen2.5vl:7b) and at-signs; a URL begins with its scheme.
+_FORM = re.compile(r"([a-z]+):([^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
+
+
+def read_specification(text: str, profile: str | None = None) -> ModelConfig:
+    """Returns the model that ``text`` names, to be asked with the profile of that name.
+
+    Raises:
+        InputError: saying what would be valid.
+    """
+    match = _FORM.fullmatch(text.strip())
+    if match is None or match[1] not in PROVIDERS:
+        raise InputError(f"{text!r} names no model; valid: {VALID}")
+    config = PROVIDERS[match[1]](model=match[2], profile=profile)
+    if match[3] is not None:
+        config.base_url = match[3].rstrip("/")
+    check_model(config)
+    return config
+
+
+def specification(config: ModelConfig) -> str:
+    """Returns the line that ``read_specification`` makes this model of, but for its options."""
+    word = next(word for word, kind in PROVIDERS.items() if kind is type(config))
+    at = "" if config.base_url == type(config)().base_url else f"@{config.base_url}"
+    return f"{word}:{config.model}{at}"
+
+
+def check_model(config: ModelConfig) -> None:
+    """Raises InputError for a model that cannot be asked, whatever its server is."""
+    if not config.model:
+        raise InputError(f"no model is named; valid: {VALID}")
+    try:
+        url = urlsplit(config.base_url)
+        usable = url.scheme in ("http", "https") and bool(url.hostname) and url.port != 0
+    except ValueError:
+        usable = False
+    if not usable:
+        raise InputError("base_url is no URL; valid: one such as http://localhost:8000/v1")
+    if url.username is not None or url.password is not None or url.query or url.fragment:
+        # Not shown: what is here may be a password, and URLs end up in records.
+        raise InputError(
+            f"base_url of {config.model} holds more than host and path; keys go into the "
+            f"environment variable {config.key_variable}"
+        )
+    if config.max_tokens < 1:
+        raise InputError(f"max_tokens must be 1 or more, not {config.max_tokens}")
