@@ -4,15 +4,27 @@ import json
 import signal
 import sys
 import traceback
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from rich.table import Table
 
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
+from tog_drake.options import (
+    JsonOption,
+    KOption,
+    NoiseOption,
+    ProposerOption,
+    ScenarioOption,
+    ScenarioText,
+    SeedOption,
+    SelectorOption,
+    SelectorOptions,
+    TaskOption,
+    valid,
+)
 from tog_drake.terminal import (
     console_for,
     keep_drake_quiet,
@@ -22,6 +34,7 @@ from tog_drake.terminal import (
     say,
 )
 from tog_drake.visible_text import visible
+from tog_drake.vlm_commands import prompts
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -41,28 +54,6 @@ DEMO_TASKS = {
     "use": "use the hammer to drive a nail",
     "handover": "hand me the hammer",
 }
-T = TypeVar("T")
-
-ScenarioOption = Annotated[
-    str | None,
-    typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file; by default Hammer."),
-]
-ScenarioText = Annotated[
-    str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
-]
-TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
-SelectorOption = Annotated[str | None, typer.Option(help="geometric | top-score | random | oracle")]
-ProposerOption = Annotated[str | None, typer.Option(help="antipodal")]
-KOption = Annotated[
-    str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
-]
-SeedOption = Annotated[int | None, typer.Option(min=0, help="Seeds everything random.")]
-NoiseOption = Annotated[
-    bool, typer.Option("--noise", help="Depth as the cameras would measure it, not exact.")
-]
-JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
-]
 
 
 def _epilog(example: str) -> str:
@@ -103,7 +94,7 @@ def run(
     check_folder(out)
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
-    loaded = _load(name, scenario_text, selector, proposer, k, seed)
+    loaded = _load(name, scenario_text, SelectorOptions(selector), proposer, k, seed)
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None
@@ -135,7 +126,7 @@ def demo(
 
     console = console_for(as_json=False)
     check_folder(out)
-    loaded = _load(DEFAULT_SCENARIO, None, None, None, None, seed)
+    loaded = _load(DEFAULT_SCENARIO, None, seed=seed)
     episodes = []
     for label, task in DEMO_TASKS.items():
         with console.status(f"{task} ..."):
@@ -182,23 +173,26 @@ def choose(
     from tog_drake.choose import choose_on_view, grasps_record
     from tog_drake.drawing import decision_image, encode_png
     from tog_drake.files import write_atomically
+    from tog_drake.pipeline import PipelineConfig
     from tog_drake.record import new_record, save_record
     from tog_drake.saved_view import load_pose, load_view
 
     console = console_for(as_json)
     check_folder(out)
-    config = _overridden_pipeline(selector, proposer, k)
+    config = PipelineConfig()
+    SelectorOptions(selector).apply(config)
+    _override(config, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
     decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
-    record = new_record(decision, config, task=task, seed=seed or 0)
+    episode = new_record(decision, config, task=task, seed=seed or 0)
     overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
-    save_record(out / "episode.json", record)
-    print_stages(console, record)
+    save_record(out / "episode.json", episode)
+    print_stages(console, episode)
     say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
-    print_json(as_json, record)
+    print_json(as_json, episode)
     raise typer.Exit(0 if decision.error is None else 1)
 
 
@@ -232,7 +226,7 @@ def evaluate_(
     check_folder(out)
     chosen = _names(selectors)
     for selector in chosen:
-        _valid(selector, SELECTORS, "selector")
+        valid(selector, SELECTORS, "selector")
     cells = make_cells(
         scenario_names(_names(scenarios)),
         chosen,
@@ -284,7 +278,7 @@ def show(
             raise InputError("tog show objects draws a picture; say where: --out objects.png")
         say(console_for(as_json=False), f"picture: {write_objects(out)}")
         return
-    loaded = _load(scenario, scenario_text, None, None, None, seed)
+    loaded = _load(scenario, scenario_text, seed=seed)
     console = console_for(as_json=False)
     if out is None:
         serve_scene(loaded, console)
@@ -306,7 +300,7 @@ def diagram(
     from tog_drake.files import write_atomically
 
     check_file(out)
-    loaded = _load(scenario, scenario_text, selector, None, None, None)
+    loaded = _load(scenario, scenario_text, SelectorOptions(selector))
     write_atomically(out, svg(build_world(loaded, target=next(iter(load_objects(loaded)), None))))
     say(console_for(as_json=False), f"picture: {out}")
 
@@ -323,6 +317,9 @@ def doctor(as_json: JsonOption = False) -> None:
         say(console, f"{mark}  {check.name}: {check.found}")
     print_json(as_json, {check.name: vars(check) for check in checks})
     raise typer.Exit(0 if all(check.ok for check in checks if check.required) else 1)
+
+
+app.command(epilog=_epilog("tog prompts cpg"))(prompts)
 
 
 def main() -> None:
@@ -370,12 +367,6 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",")]
 
 
-def _valid(given: str, valid: Mapping[str, T], what: str) -> T:
-    if given not in valid:
-        raise InputError(f"unknown {what} {given!r}; valid: {', '.join(valid)}")
-    return valid[given]
-
-
 def _scenario_of(object_: str | None) -> str:
     """The scenario of an object that is named alone; else the default one."""
     from tog_drake.evaluation import scenario_names
@@ -397,43 +388,29 @@ def _target(object_: str | None, scenario: str | None) -> str | None:
 def _load(
     name: str,
     text: str | None,
-    selector: str | None,
-    proposer: str | None,
-    k: str | None,
-    seed: int | None,
+    selector: SelectorOptions | None = None,
+    proposer: str | None = None,
+    k: str | None = None,
+    seed: int | None = None,
 ) -> "Scenario":
     """The scenario with the command's options in place."""
     from tog_drake.scenario import load_scenario
 
     scenario = load_scenario(name, text)
-    _override(scenario.pipeline, selector, proposer, k)
+    if selector is not None:
+        selector.apply(scenario.pipeline)
+    _override(scenario.pipeline, proposer, k)
     if seed is not None:
         scenario.random_seed = seed
     return scenario
 
 
-def _overridden_pipeline(
-    selector: str | None, proposer: str | None, k: str | None
-) -> "PipelineConfig":
-    from tog_drake.pipeline import PipelineConfig
-
-    config = PipelineConfig()
-    _override(config, selector, proposer, k)
-    return config
-
-
-def _override(
-    config: "PipelineConfig", selector: str | None, proposer: str | None, k: str | None
-) -> None:
+def _override(config: "PipelineConfig", proposer: str | None, k: str | None) -> None:
     from tog_drake.candidates import candidate_counts
-    from tog_drake.pipeline import PROPOSERS, SELECTORS
+    from tog_drake.pipeline import PROPOSERS
 
-    # The scenario's settings of the same kind stay.
-    if selector is not None:
-        kind = _valid(selector, SELECTORS, "selector")
-        config.selector = config.selector if isinstance(config.selector, kind) else kind()
     if proposer is not None:
-        _valid(proposer, PROPOSERS, "proposer")
+        valid(proposer, PROPOSERS, "proposer")
     if k is not None:
         config.candidates.k = k
         candidate_counts(config.candidates)  # a wrong K is refused before anything starts

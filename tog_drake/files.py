@@ -32,19 +32,24 @@ def write_atomically(path: Path, data: bytes | str) -> None:
         unfinished.unlink(missing_ok=True)
 
 
-def check_folder(folder: Path) -> None:
-    """Refuses a folder that nothing can be written to, before the work instead of after it."""
+def check_folder(folder: Path, option: str = "--out") -> None:
+    """Refuses a folder that nothing can be written to, before the work instead of after it.
+
+    ``option`` is the one by which it was given.
+    """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
     if not existing.is_dir():
-        raise InputError(f"--out {folder}: {existing} is a file; name a folder")
+        raise InputError(f"{option} {folder}: {existing} is a file; name a folder")
     if not os.access(existing, os.W_OK):
-        raise InputError(f"--out {folder}: {existing} may not be written to; name another folder")
+        raise InputError(
+            f"{option} {folder}: {existing} may not be written to; name another folder"
+        )
 
 
-def check_file(file: Path) -> None:
+def check_file(file: Path, option: str = "--out") -> None:
     """The same for a file; nor is a device such as /dev/stdout replaced by a file."""
     if file.is_dir():
-        raise InputError(f"--out {file} is a folder; name a file in it")
+        raise InputError(f"{option} {file} is a folder; name a file in it")
     if file.exists() and not file.is_file():
-        raise InputError(f"--out {file} is no ordinary file; name one")
-    check_folder(file.parent)
+        raise InputError(f"{option} {file} is no ordinary file; name one")
+    check_folder(file.parent, option)

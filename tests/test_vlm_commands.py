@@ -1,0 +1,40 @@
+"""What `tog prompts` and `tog vlm ...` say."""
+
+import json
+
+import pytest
+from command import refused, tog
+
+from tog_drake.selectors import prompts
+from tog_drake.selectors.prompts import names
+
+
+def test_all_prompts_are_listed_with_their_versions():
+    done = tog("prompts")
+    assert done.status == 0
+    assert done.out.split() == [prompts.load(name).version for name in names()]
+    listed = json.loads(tog("prompts", "--json").out)
+    assert listed == {name: prompts.load(name).version for name in names()}
+
+
+@pytest.mark.parametrize("rendering", ["marked", "paper"])
+@pytest.mark.parametrize("name", names())
+def test_a_prompt_is_shown_with_every_place_filled(name, rendering):
+    done = tog("prompts", name, "--rendering", rendering)
+    assert done.status == 0, done.err
+    assert "{" not in done.out
+    assert name == "repair" or '"hand me the hammer"' in done.out
+    shown = json.loads(tog("prompts", name, "--rendering", rendering, "--json").out)
+    assert shown["version"] == prompts.load(name).version
+    assert shown["text"] == done.out.rstrip("\n")
+
+
+def test_labels_are_those_of_the_rendering():
+    assert "1, 2, 3" in tog("prompts", "gsi").out
+    assert "red, green, blue" in tog("prompts", "gsi", "--rendering", "paper").out
+    assert "1, 2, 3" in tog("prompts", "gmi", "--rendering", "paper").out
+
+
+def test_an_unknown_prompt_or_rendering_is_said_with_those_there_are():
+    refused(tog("prompts", "gsj"), "'gsj'", *names())
+    refused(tog("prompts", "gsi", "--rendering", "bright"), "'bright'", "marked, paper")
