@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.cassette import Cassette, NotRecorded
+from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.question import Message, Unanswered
 from tog_drake.selectors.vlm.recorded import MAX_LINE, read_entry
 from tog_drake.selectors.vlm.request import (
@@ -25,7 +26,6 @@ from tog_drake.selectors.vlm.request import (
 )
 
 IMAGE = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
-KEY = "sk-planted-0123456789abcdef"
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ def test_what_was_recorded_is_replayed(path):
     Cassette(path, "record").add(request(), said("2"), seconds=1.25)
     found = Cassette(path, "replay").lookup(request())
     assert (found.response, found.seconds, found.prompt) == (said("2"), 1.25, "gsi/1")
-    assert Cassette(path, "replay").asked_of() == ("openai:any@http://here/v1", "pixels")
+    model = OpenAi("any", "http://here/v1", "pixels")
+    assert Cassette(path, "replay").model() == model
 
 
 def test_a_line_has_the_shape_of_a_batch_file_and_no_image_in_it(path):
@@ -138,11 +139,11 @@ def test_in_export_an_unanswered_question_is_raised_with_all_that_sends_it(path)
 def test_two_models_in_one_cassette_must_be_told_apart(path):
     cassette = Cassette(path, "record")
     with pytest.raises(InputError, match=r"0 models.*--record"):
-        cassette.asked_of()
+        cassette.model()
     cassette.add(request(), said("2"), seconds=0)
     cassette.add(replace(request("b"), model="gemini:x"), said("2"), seconds=0)
     with pytest.raises(InputError, match=r"2 models: gemini:x .*--vlm"):
-        cassette.asked_of()
+        cassette.model()
 
 
 def test_the_key_is_of_what_is_asked_not_of_where_or_in_which_order():
@@ -314,27 +315,6 @@ def test_several_processes_share_a_cassette(path):
     keys = [json.loads(line)["custom_id"] for line in lines]
     assert len(keys) == len(set(keys)) == 8 + 2 * 8
     assert len(Cassette(path, "replay").questions) == 8 + 2 * 8
-
-
-def test_a_key_that_a_server_sends_back_is_not_written(path, monkeypatch):
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
-    monkeypatch.setenv("LAB_SECRET", 'quote"and\\slash')
-    cassette = Cassette(path, "record")
-    echoed = {"text": f"Bearer {KEY}!", KEY: ['quote"and\\slash']}
-    entered = cassette.add(request(), echoed, seconds=0)
-    assert entered.response == {"text": "Bearer [removed]!", "[removed]": ["[removed]"]}
-    cassette.add_error(request("b"), Unanswered("rejected", f"bad key {KEY}"), seconds=0)
-    assert KEY not in path.read_text()
-    assert "slash" not in path.read_text()
-    with pytest.raises(Unanswered) as caught:
-        Cassette(path, "replay").lookup(request("b"))
-    assert KEY not in repr(caught.value)
-
-
-def test_a_word_is_no_secret_because_a_variable_says_so(path, monkeypatch):
-    monkeypatch.setenv("OPENAI_API_KEY", "EMPTY")
-    Cassette(path, "record").add(request(), said("an EMPTY mug"), seconds=0)
-    assert Cassette(path, "replay").lookup(request()).response == said("an EMPTY mug")
 
 
 def test_nothing_is_left_where_the_disk_is_full(path, monkeypatch):

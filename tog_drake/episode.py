@@ -126,14 +126,10 @@ def run_episode(
     """
     _check_success_is_possible(scenario)
     world = build_world(scenario, target=target, task=task, meshcat=meshcat)
-    simulator = Simulator(world.diagram)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    context = simulator.get_mutable_context()
-    world.diagram.GetInputPort("task").FixValue(context, task)
     if meshcat is not None:
         meshcat.StartRecording()
-    simulator.Initialize()
-    simulator.AdvanceTo(world.pipeline.executor.look_time)
+    simulator = look(world, scenario, task)
+    context = simulator.get_mutable_context()
     judge = Judge(world.station, world.labels, world.target)
     attempts: list[AttemptRecord] = []
     state, wall = None, 0.0
@@ -176,6 +172,16 @@ def run_episode(
     record["sim"]["seconds"] = context.get_time()
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
     return Episode(record, decision, replay)
+
+
+def look(world: World, scenario: Scenario, task: str) -> Simulator:
+    """Returns a simulation of the world at the time of the first look, nothing decided yet."""
+    simulator = Simulator(world.diagram)
+    ApplySimulatorConfig(scenario.simulator_config, simulator)
+    world.diagram.GetInputPort("task").FixValue(simulator.get_mutable_context(), task)
+    simulator.Initialize()
+    simulator.AdvanceTo(world.pipeline.executor.look_time)
+    return simulator
 
 
 def _check_success_is_possible(scenario: Scenario) -> None:

@@ -1,12 +1,14 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import Progress
@@ -20,7 +22,7 @@ from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord
-from tog_drake.scenario import load_scenario, scenario_files
+from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.terminal import keep_drake_quiet
 
 CLUTTER = ("Household", "Kitchen", "Tools")
@@ -35,6 +37,7 @@ TASKS = {
 # They do not read the task: one episode serves every task, and is judged for each.
 _TASK_BLIND = ("top-score", "random")
 
+T = TypeVar("T")
 _BATCH = 20  # episodes between two renewals of the workers
 
 
@@ -132,21 +135,30 @@ def evaluate(
         Progress(console=console) as progress,
     ):
         bar = progress.add_task("episodes", total=len(cells))
-        for start in range(0, len(cells), _BATCH):
-            for judged in _run_batch(cells[start : start + _BATCH], workers, out):
-                records += judged
-                file.write("".join(json.dumps(record) + "\n" for record in judged))
-                file.flush()
-                progress.advance(bar)
+        for judged in in_processes(partial(_run, out=out), cells, workers):
+            records += judged
+            file.write("".join(json.dumps(record) + "\n" for record in judged))
+            file.flush()
+            progress.advance(bar)
     return records
 
 
-def _run_batch(cells: Sequence[Cell], workers: int, out: Path) -> Iterator[list[EpisodeRecord]]:
-    """Runs some episodes in new processes: a diagram's memory is not all given back."""
+def in_processes(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
+    """Returns what ``work`` makes of each cell, in their order.
+
+    Raises:
+        TogError: a process died; and whatever ``work`` raises.
+    """
+    for start in range(0, len(cells), _BATCH):
+        yield from _run_batch(work, cells[start : start + _BATCH], workers)
+
+
+def _run_batch(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
+    """Works in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
     with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
         try:
-            yield from pool.map(_run, cells, [out] * len(cells))
+            yield from pool.map(work, cells)
         except BrokenProcessPool as error:
             raise TogError(
                 "a worker process died, perhaps for want of memory; try fewer --workers"
@@ -157,12 +169,18 @@ def _run_batch(cells: Sequence[Cell], workers: int, out: Path) -> Iterator[list[
             raise
 
 
-def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
+def cell_scenario(cell: Cell) -> Scenario:
+    """Returns the scenario of a cell, but for the selector, which the caller puts in."""
     scenario = load_scenario(cell.scenario, cell.text)
     scenario.random_seed = cell.seed
-    scenario.pipeline.selector = SELECTORS[cell.selector]()
     if cell.noise:
         scenario.cameras = with_noise(scenario.cameras)
+    return scenario
+
+
+def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
+    scenario = cell_scenario(cell)
+    scenario.pipeline.selector = SELECTORS[cell.selector]()
     try:
         episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
     except InputError as error:

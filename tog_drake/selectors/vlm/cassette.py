@@ -2,8 +2,8 @@
 
 A cassette is a file of lines as in ``recorded``. Of several lines of one key the last holds, but
 for a response, which is final. Each image lies once in ``<stem>.images/<hex>.png`` beside the
-cassette. Neither headers nor hosts are written, so that no key can be; where a server sent one
-back, it is taken out.
+cassette. Headers are never written, and whatever part of a key a server sends back is taken out
+by ``transport``: there is no key in a cassette.
 """
 
 import fcntl
@@ -17,6 +17,7 @@ from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry, write_entry
 from tog_drake.selectors.vlm.request import QuestionPending, Request, save_images
+from tog_drake.selectors.vlm.specification import ModelConfig, read_specification
 
 Mode = Literal["record", "replay", "export"]
 """record: what has no answer yet is asked, and added. replay: it is an error. export: it is
@@ -63,15 +64,15 @@ class Cassette:
     def image_folder(self) -> Path:
         return self.path.parent / f"{self.path.stem}.images"
 
-    def asked_of(self) -> tuple[str, str]:
-        """Returns the model that was asked, as specification and name of its profile.
+    def model(self) -> ModelConfig:
+        """Returns the model that was asked.
 
         Raises:
             InputError: there is none, or more than one.
         """
-        models = {(entry.model, entry.profile) for entry in self.questions}
+        models = {(entry.model, entry.profile) for entry in self._known.values()}
         if len(models) == 1:
-            return models.pop()
+            return read_specification(*models.pop())
         names = ", ".join(f"{model} ({profile})" for model, profile in sorted(models))
         raise InputError(
             f"{self.path} holds questions to {len(models)} models"

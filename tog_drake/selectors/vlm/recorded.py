@@ -20,7 +20,6 @@ from math import isfinite
 from typing import Any, Literal, NoReturn, get_args
 
 from tog_drake.errors import InputError
-from tog_drake.selectors.vlm.redaction import without_secrets
 from tog_drake.selectors.vlm.request import Request, image_token
 from tog_drake.values import AnswerStatus
 
@@ -58,7 +57,7 @@ class Recorded:
 
 
 def write_entry(entry: Recorded) -> bytes:
-    """Returns the line; secrets of the environment are taken out of it."""
+    """Returns the line of an entry, with its newline and the time."""
     code = entry.error
     line = {
         "custom_id": entry.key,
@@ -78,7 +77,7 @@ def write_entry(entry: Recorded) -> bytes:
             "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         },
     }
-    return json.dumps(without_secrets(line)).encode() + b"\n"
+    return json.dumps(line).encode() + b"\n"
 
 
 def read_entry(data: bytes, where: str) -> Recorded:
