@@ -1,6 +1,7 @@
 """Asks one model, through its API or out of a cassette."""
 
 import base64
+import logging
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from tog_drake.selectors.vlm.request import Request
 from tog_drake.selectors.vlm.specification import ModelConfig, check_model, specification
 from tog_drake.selectors.vlm.transport import Rejected, post
 
+_log = logging.getLogger(__name__)
 _NOT_UNDERSTOOD = (400, 422)  # HTTP status of a request with a parameter that is not taken
 
 
@@ -25,7 +27,6 @@ class Asked:
     key: str  # of the question, under which a cassette has it
     seconds: float  # latency, that of the recording where it was replayed
     cost: float | None  # [USD]; None where price or tokens are not known
-    without: tuple[str, ...] = ()  # parameters that the server does not take, and did without
 
 
 class Client:
@@ -77,7 +78,6 @@ class Client:
             key=request.key,
             seconds=seconds,
             cost=self._prices.cost(self._api.url(), model, reply.tokens),
-            without=tuple(self._complaints),
         )
 
     def key(self, message: Message) -> str:
@@ -125,6 +125,7 @@ class Client:
                     raise
                 body, name = amended
                 self._complaints[name] = rejected.complaint
+                _log.warning("%s does not take %s: asked without", specification(self._api), name)
 
 
 def _base64_png(image: Image) -> str:

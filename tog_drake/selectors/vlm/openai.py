@@ -47,9 +47,12 @@ class OpenAi:
     def url(self) -> str:
         return self.base_url.rstrip("/") + "/chat/completions"
 
+    def _is_openai(self) -> bool:
+        return urlsplit(self.base_url).hostname == urlsplit(_OPENAI).hostname
+
     def headers(self) -> dict[str, str]:
         """OpenAI itself wants a key; other servers get one where there is one."""
-        if urlsplit(self.base_url).hostname == urlsplit(_OPENAI).hostname:
+        if self._is_openai():
             key: str | None = require_key([self.key_variable], self.url())
         else:
             key = read_key(self.key_variable, self.url())
@@ -60,7 +63,7 @@ class OpenAi:
         body: dict[str, Any] = {
             "model": self.model,
             "messages": [{"role": "user", "content": [_part(p, encode) for p in message.parts]}],
-            new if self.base_url == _OPENAI else old: message.max_tokens,
+            new if self._is_openai() else old: message.max_tokens,
         }
         if message.schema is not None:
             answer = {"name": "answer", "strict": True, "schema": dict(message.schema)}
@@ -101,7 +104,7 @@ class OpenAi:
 
 @dataclass
 class Molmo(OpenAi):
-    """A Molmo model behind vLLM or the like."""
+    """A Molmo behind vLLM or the like; its name tells which, and so how it points."""
 
     model: str = "allenai/Molmo2-8B"
     base_url: str = "http://localhost:8000/v1"
@@ -109,7 +112,7 @@ class Molmo(OpenAi):
 
 @dataclass
 class Qwen(OpenAi):
-    """A Qwen-VL model behind vLLM or the like."""
+    """A Qwen-VL behind vLLM or the like; its name tells which, and so how it points."""
 
     model: str = "Qwen/Qwen3-VL-8B-Instruct"
     base_url: str = "http://localhost:8000/v1"

@@ -19,7 +19,7 @@ PROVIDERS: dict[str, type[ModelConfig]] = {
 }
 VALID = (
     "openai:MODEL, openai:MODEL@URL (vLLM, Ollama, llama.cpp ...), gemini:MODEL, anthropic:MODEL, "
-    "molmo:MODEL@URL, qwen:MODEL@URL"
+    "molmo:MODEL@URL, qwen:MODEL@URL, replay:FILE"
 )
 # A model's name may hold colons (qwen2.5vl:7b) and at-signs; a URL begins with its scheme.
 _FORM = re.compile(r"([a-z]+):([^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
@@ -65,5 +65,12 @@ def check_model(config: ModelConfig) -> None:
             f"base_url of {config.model} holds more than host and path; keys go into the "
             f"environment variable {config.key_variable}"
         )
+    if isinstance(config, Molmo | Qwen) and config.profile is None:
+        family = type(config).__name__
+        if family.lower() not in config.model.lower():
+            raise InputError(
+                f"the name {config.model!r} does not say which {family} it is, and they point in "
+                "different ways; name the profile too (--profile, or profile: in the scenario)"
+            )
     if config.max_tokens < 1:
         raise InputError(f"max_tokens must be 1 or more, not {config.max_tokens}")

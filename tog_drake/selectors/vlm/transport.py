@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
+from http.client import HTTPException
 from math import isfinite
 from typing import TYPE_CHECKING, Any, NoReturn
 from urllib.parse import urlsplit
@@ -110,10 +111,11 @@ def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) 
 
 def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes) -> Any:
     import requests
+    from urllib3.exceptions import HTTPError
 
-    secrets = secrets_in(headers)
     left = max(deadline - time.monotonic(), 0.001)
     sent = {**headers, "Content-Type": "application/json", "Accept-Encoding": "identity"}
+    # What requests says of an error may hold headers and so keys; its kind says enough.
     try:
         with requests.Session() as session:
             session.trust_env = not is_loopback(url)  # no proxy on the way to this machine
@@ -127,11 +129,13 @@ def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes)
                 stream=True,
             ) as response:
                 text = _text_of(response, deadline)
-                return _judge(response, text, url, secrets)
-    except requests.RequestException as error:
-        # Its text may hold headers; its kind says enough.
-        kind = type(error).__name__
-        raise _Again(Unanswered("unreachable", f"no connection to {_host(url)} ({kind})")) from None
+    except ValueError as error:  # errors of requests among them
+        message = f"{_host(url)} cannot be asked ({type(error).__name__}); is its URL right?"
+        raise Unanswered("rejected", message) from None
+    except (requests.RequestException, HTTPError, HTTPException, OSError) as error:
+        message = f"no connection to {_host(url)} ({type(error).__name__}); is it running?"
+        raise _Again(Unanswered("unreachable", message)) from None
+    return _judge(response, text, url, secrets_in(headers))
 
 
 def _keep(request: Any) -> Any:
@@ -144,7 +148,7 @@ def _text_of(response: "Response", deadline: float) -> str:
 
     received = bytearray()
     try:
-        for chunk in response.iter_content(1024):
+        for chunk in response.iter_content(8192):
             received += chunk
             if len(received) > MAX_BYTES:
                 raise Unanswered("too_long", f"the answer is longer than {MAX_BYTES} bytes")
