@@ -8,8 +8,18 @@ from pydrake.perception import PointCloud
 
 from tog_drake.errors import NoChoice, NoFeasibleGrasp, NoGrasp, NoPlan
 from tog_drake.pipeline import Decision, PipelineConfig, Random, TopScore
-from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord, new_record, stage_rows
-from tog_drake.values import Candidates, Choice, FeasibleGrasps, GraspMotion, Grasps
+from tog_drake.record import (
+    OUTCOMES,
+    SCHEMA,
+    EpisodeRecord,
+    new_record,
+    selector_name,
+    stage_rows,
+)
+from tog_drake.selectors.vlm.openai import OpenAi
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.values import Candidates, Choice, Exchange, FeasibleGrasps, GraspMotion, Grasps
+from tog_drake.vlm_record import MAX_ANSWER
 
 STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
 
@@ -124,3 +134,100 @@ def test_changing_a_record_leaves_the_decision_as_it_was():
     record["seconds"]["plan"] = 99.0
     assert decision.feasible_grasps.rejected == {"no_ik": 1}
     assert decision.seconds["plan"] == 0.1
+
+
+def _exchange(**changes):
+    return Exchange(
+        **{
+            "prompt": "gsi/1",
+            "text": "[image 1]\n\nWhich?",
+            "images": (np.zeros((2, 2, 3), np.uint8),),
+            "marks": {"1": 2, "2": 0},
+            "key": "ab" * 32,
+            "answer": "1",
+            "status": "ok",
+            "message": "",
+            "model": "served-1",
+            "seconds": 0.51239,
+            "tokens": {"input": 7, "output": 2},
+            "cost": None,
+            **changes,
+        }
+    )
+
+
+ASKING = PipelineConfig(
+    selector=Vlm(strategy="gsi", model=OpenAi(model="any", base_url="http://127.0.0.1:9/v1"))
+)
+
+
+def test_what_a_model_was_asked_and_said_is_in_the_record_without_the_images():
+    decision = _decision()
+    decision.choice = replace(decision.choice, exchanges=(_exchange(),))
+    record = _json(_record(decision, ASKING))
+    assert record["vlm"] == {
+        "strategy": "gsi",
+        "rendering": "marked",
+        "model": "openai:any@http://127.0.0.1:9/v1",
+        "seed": 7,
+        "status": "ok",
+        "fallback": None,
+        "exchanges": [
+            {
+                "prompt": "gsi/1",
+                "text": "[image 1]\n\nWhich?",
+                "marks": {"1": 2, "2": 0},
+                "key": "ab" * 32,
+                "answer": "1",
+                "status": "ok",
+                "message": "",
+                "model": "served-1",
+                "seconds": 0.512,
+                "tokens": {"input": 7, "output": 2},
+                "cost": None,
+            }
+        ],
+    }
+    assert record["attempts"][0]["exchanges"] == record["vlm"]["exchanges"]
+    assert record["selector"]["kind"] == "vlm"
+    assert record["selector"]["model"]["specification"] == "openai:any@http://127.0.0.1:9/v1"
+    assert selector_name(record) == "vlm gsi openai:any@http://127.0.0.1:9/v1"
+
+
+def test_who_chose_in_place_of_the_model_is_in_the_record():
+    decision = _decision()
+    decision.choice = replace(
+        decision.choice,
+        status="ambiguous",
+        fallback="geometric",
+        exchanges=(_exchange(status="ambiguous"),),
+    )
+    vlm = _record(decision, ASKING)["vlm"]
+    assert (vlm["status"], vlm["fallback"]) == ("ambiguous", "geometric")
+
+
+def test_of_a_failed_decision_too_the_record_tells_what_was_said():
+    said = (_exchange(status="empty", answer=None, model=None, tokens=None),)
+    error = NoChoice("it said nothing", status="empty", exchanges=said)
+    record = _json(_record(Decision(error=error, seconds={"render": 0.2}), ASKING))
+    assert record["vlm"]["status"] == record["vlm"]["exchanges"][0]["status"] == "empty"
+    assert record["choice"] is None
+
+
+def test_the_record_cuts_an_endless_answer():
+    decision = _decision()
+    decision.choice = replace(decision.choice, exchanges=(_exchange(answer="x" * 10**6),))
+    (exchange,) = _record(decision, ASKING)["vlm"]["exchanges"]
+    assert len(exchange["answer"]) == MAX_ANSWER
+
+
+def test_where_no_model_is_asked_the_record_says_nothing_of_one():
+    record = _record(_decision())
+    assert record["vlm"] is None
+    assert record["attempts"][0]["exchanges"] == []
+    assert selector_name(record) == "geometric"
+
+
+def test_a_replay_is_named_by_its_cassette():
+    config = PipelineConfig(selector=Vlm(strategy="cpg", replay="said.jsonl"))
+    assert _record(_decision(), config)["vlm"]["model"] == "replay:said.jsonl"

@@ -21,7 +21,7 @@ from tog_drake.errors import InputError, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.pipeline import SELECTORS
-from tog_drake.record import EpisodeRecord
+from tog_drake.record import EpisodeRecord, selector_name
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.terminal import keep_drake_quiet
 
@@ -180,7 +180,9 @@ def cell_scenario(cell: Cell) -> Scenario:
 
 def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
     scenario = cell_scenario(cell)
-    scenario.pipeline.selector = SELECTORS[cell.selector]()
+    kind = SELECTORS[cell.selector]
+    if not isinstance(scenario.pipeline.selector, kind):  # what the scenario says of it stays
+        scenario.pipeline.selector = kind()
     try:
         episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
     except InputError as error:
@@ -223,10 +225,10 @@ def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | fl
     failure of each. ``_low`` and ``_high`` bound them with 95 % confidence (Wilson 1927).
     """
     rows: list[dict[str, str | int | float]] = []
-    selectors = dict.fromkeys(record["selector"]["kind"] for record in records)
+    selectors = dict.fromkeys(map(selector_name, records))
     scenarios = dict.fromkeys(record["scenario"] for record in records)
     for selector in selectors:
-        of_selector = [r for r in records if r["selector"]["kind"] == selector]
+        of_selector = [r for r in records if selector_name(r) == selector]
         for scenario in (*scenarios, None):
             chosen = [r for r in of_selector if scenario in (None, r["scenario"])]
             if chosen:

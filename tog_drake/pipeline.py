@@ -22,6 +22,7 @@ from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.oracle import Oracle, OracleSelector
+from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer
 from tog_drake.values import (
     Array,
@@ -35,13 +36,14 @@ from tog_drake.values import (
     Workspace,
 )
 
-SelectorConfig = Geometric | TopScore | Random | Oracle
+SelectorConfig = Geometric | TopScore | Random | Oracle | Vlm
 # How the command spells them.
 SELECTORS: dict[str, type[SelectorConfig]] = {
     "geometric": Geometric,
     "top-score": TopScore,
     "random": Random,
     "oracle": Oracle,
+    "vlm": Vlm,
 }
 PROPOSERS: dict[str, type[Antipodal]] = {"antipodal": Antipodal}
 
@@ -210,7 +212,8 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
     """Returns the selector that the scenario asks for.
 
     Raises:
-        InputError: if it is the oracle, which is no Selector: it needs simulated labels.
+        InputError: if a setting of it is out of bounds, or it is the oracle, which is no Selector:
+            it needs simulated labels.
     """
     match config.selector:
         case Geometric():
@@ -219,10 +222,12 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
             return TopScoreSelector()
         case Random():
             return RandomSelector(seed=seed)
+        case Vlm():
+            return VlmSelector(config.selector, config.workspace, seed=seed)
         case Oracle():
             raise InputError(
                 "selector oracle reads simulated part labels, and there are none here; "
-                "valid: geometric, top-score, random"
+                "valid: geometric, top-score, random, vlm"
             )
 
 

@@ -12,6 +12,9 @@ from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
 from tog_drake.pipeline import STAGE_SECONDS, Decision, PipelineConfig
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.selectors.vlm.specification import specification
+from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
 
 SCHEMA = "tog_drake/episode/1"
 """Name and version; the number changes when a field changes its meaning or goes away."""
@@ -34,6 +37,7 @@ class AttemptRecord(TypedDict):
     """One look and what came of it, as far as the robot itself can tell."""
 
     choice: ChoiceRecord | None
+    exchanges: list[ExchangeRecord]  # with a model; those of the last look are in ``vlm`` too
     motion: dict[str, Any] | None  # duration [s], phases [s], note
     opening: float | None  # [m] between the pads after the hold; null: nothing was executed
     message: str | None  # why it ended without a motion
@@ -56,6 +60,7 @@ class EpisodeRecord(TypedDict):
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
     choice: ChoiceRecord | None
+    vlm: VlmRecord | None  # null: no model was asked
     attempts: list[AttemptRecord]
     """One, and one more for each retry. ``collisions``, ``seconds.execute`` and ``sim`` cover all,
     every other field tells of the last look and its motion."""
@@ -130,6 +135,7 @@ def new_record(
         counts=counts,
         rejected=dict(rejected),
         choice=_choice_record(decision),
+        vlm=vlm_record(decision, config.selector, seed=seed),
         attempts=[attempt_record(decision)],
         outcome=error.outcome if error is not None else "chosen",
         message=str(error) if error is not None else None,
@@ -152,8 +158,20 @@ def new_record(
 def _kind_and_settings(config: Any) -> dict[str, Any]:
     """A tag such as TopScore becomes "top-score", as the command spells it."""
     kind = re.sub(r"(?<!^)(?=[A-Z])", "-", type(config).__name__).lower()
-    note = {"note": ORACLE_NOTE} if isinstance(config, Oracle) else {}
-    return {"kind": kind, **asdict(config), **note}
+    more: dict[str, Any] = {}
+    if isinstance(config, Oracle):
+        more["note"] = ORACLE_NOTE
+    if isinstance(config, Vlm) and config.model is not None:
+        more["model"] = {"specification": specification(config.model), **asdict(config.model)}
+    return {"kind": kind, **asdict(config), **more}
+
+
+def selector_name(record: EpisodeRecord) -> str:
+    """Returns what tells a selector from others in a table: of a model, how and whom it asked."""
+    selector, vlm = record["selector"], record["vlm"]
+    if vlm is None:
+        return str(selector["kind"])
+    return f"{selector['kind']} {vlm['strategy']} {vlm['model']}"
 
 
 def _choice_record(decision: Decision) -> ChoiceRecord | None:
@@ -176,6 +194,7 @@ def attempt_record(decision: Decision) -> AttemptRecord:
     """Returns what a decision says of its attempt; what the hand felt is not known yet."""
     return AttemptRecord(
         choice=_choice_record(decision),
+        exchanges=exchange_records(decision),
         motion=_motion_record(decision),
         opening=None,
         message=None if decision.error is None else str(decision.error),

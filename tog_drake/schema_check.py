@@ -16,6 +16,7 @@ import yaml
 from tog_drake.errors import InputError
 
 _PLAIN_TAG = "tag:yaml.org,2002:map"
+_NULL_TAG = "tag:yaml.org,2002:null"
 
 
 def check_yaml(schema: type, content: str, source: str) -> str:
@@ -67,15 +68,19 @@ def _check_union(schema: Any, node: yaml.Node, path: str, source: str) -> None:
     options = [option for option in get_args(schema) if option is not NoneType]
     names = {getattr(option, "__name__", str(option)): option for option in options}
     structs = {name: option for name, option in names.items() if _fields(option) is not None}
+    only_structs = len(structs) == len(options)
+    valid = ", ".join(f"!{n}" for n in structs)
     if node.tag.startswith("!"):
         name = node.tag[1:]
         if name in structs:
             _check_fields(structs[name], node, path, source)
-        elif structs and all(_fields(option) is not None for option in options):
-            valid = ", ".join(f"!{n}" for n in structs)
+        elif only_structs:
             raise InputError(f"{source}: {path}: unknown tag !{name}; valid: {valid}")
     elif isinstance(node, yaml.MappingNode) and structs:
         _check_fields(next(iter(structs.values())), node, path, source)
+    elif only_structs and not (node.tag == _NULL_TAG and NoneType in get_args(schema)):
+        # Drake would take it for the first field of the first of them.
+        raise InputError(f"{source}: {path} must be one of {valid}, not {_shown(node)}")
 
 
 def _check_fields(schema: Any, node: yaml.Node, path: str, source: str) -> None:

@@ -9,14 +9,12 @@ from rich.console import Console
 from tog_drake.contact_sheet import contact_sheet
 from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode
-from tog_drake.errors import NoChoice
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import Decision
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation
-from tog_drake.values import Exchange
 from tog_drake.visualization import make_meshcat
+from tog_drake.vlm_record import exchanges_of
 
 
 def show_live(console: Console) -> Meshcat:
@@ -36,17 +34,10 @@ def report_of(episode: Episode) -> EpisodeReport:
         record=episode.record,
         view=decision.view,
         decision=picture,
-        exchanges=_exchanges(decision),
+        exchanges=exchanges_of(decision),
         motion=decision.motion,
         replay=episode.replay,
     )
-
-
-def _exchanges(decision: Decision) -> tuple[Exchange, ...]:
-    """What a model was asked in the last look, whether or not that ended in a choice."""
-    if decision.choice is not None:
-        return decision.choice.exchanges
-    return decision.error.exchanges if isinstance(decision.error, NoChoice) else ()
 
 
 def _scene(scenario: Scenario) -> Meshcat:

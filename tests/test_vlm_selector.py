@@ -1,0 +1,339 @@
+"""The selector that asks a model, against a server on this machine."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.perception import BaseField, Fields, PointCloud
+from test_strategies import bar_scene, to_picture
+from vlm_server import KEY, Spoken, VlmServer, hang, status
+
+from tog_drake.errors import InputError, NoChoice, NoGrasp
+from tog_drake.pipeline import PipelineConfig, make_selector
+from tog_drake.scenario import Scenario, parse_scenario
+from tog_drake.selectors.vlm.gemini import Gemini
+from tog_drake.selectors.vlm.openai import OpenAi
+from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
+from tog_drake.values import Candidates, Grasps, Workspace
+
+SCENE = bar_scene(n=19)
+TASK = "pick up the box"  # any part will do: the geometric selector can choose, too
+
+
+def cloud_of(points):
+    cloud = PointCloud(len(points), Fields(BaseField.kXYZs | BaseField.kRGBs | BaseField.kNormals))
+    cloud.mutable_xyzs()[:] = points.T
+    cloud.mutable_rgbs()[:] = np.array([[200], [0], [0]])
+    cloud.mutable_normals()[:] = np.array([[0.0], [0.0], [1.0]])
+    return cloud
+
+
+def saying(*texts):
+    """A server whose model says one text after the other, and then the last for ever."""
+    left = list(texts)
+    return VlmServer(lambda text, images: left.pop(0) if len(left) > 1 else left[0])
+
+
+def config(server, **settings):
+    model = OpenAi(model="any", base_url=server.base_url("openai"), max_tokens=500)
+    return Vlm(**{"strategy": "cpsi", "rendering": "paper", "model": model, **settings})
+
+
+def select(settings, task=TASK, candidates=SCENE.candidates, seed=3):
+    selector = VlmSelector(settings, Workspace(), seed=seed)
+    return selector.select(SCENE.view, cloud_of(SCENE.points), candidates, task)
+
+
+@pytest.fixture(autouse=True)
+def key(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+
+
+def test_the_grasp_that_the_model_names_is_chosen_and_what_was_said_is_kept():
+    with saying("It should be held there.\nFinal answer: red") as server:
+        choice = select(config(server))
+    (exchange,) = choice.exchanges
+    assert choice.index == exchange.marks["red"]
+    assert choice.index in SCENE.candidates.index
+    assert (choice.status, choice.fallback) == ("ok", None)
+    assert "red" in choice.reason
+    assert (exchange.prompt, exchange.status) == ("cpsi/1", "ok")
+    assert exchange.answer == "It should be held there.\nFinal answer: red"
+    assert exchange.model == "served-model-1"
+    assert set(exchange.tokens) >= {"input", "output"}
+    assert exchange.cost is None  # nobody knows the price
+    assert len(exchange.key) == 64
+    assert exchange.text.startswith("[image 1]\n\n")
+    assert f'Task: "{TASK}"' in exchange.text
+    (received,) = server.received
+    np.testing.assert_array_equal(received.images[0], exchange.images[0])
+    assert exchange.text.endswith(received.text.splitlines()[-1])  # how to answer, too
+
+
+@pytest.mark.parametrize(
+    ("useless", "found"),
+    [
+        ("I like all of them.", "unreadable"),
+        ("", "empty"),
+        (Spoken("It is number 1", finish="length"), "truncated"),
+        ("Final answer: 9", "out_of_range"),
+        ("It is 1 or 2.", "ambiguous"),
+    ],
+)
+def test_an_answer_that_cannot_be_read_is_asked_for_once_more(useless, found):
+    with saying(useless, "Final answer: 3") as server:
+        choice = select(config(server, strategy="gmi"))
+    first, second = choice.exchanges
+    assert choice.index == second.marks["3"] == first.marks["3"]
+    assert (first.status, second.status) == (found, "ok")
+    assert (first.prompt, second.prompt) == ("gmi/1", "repair/1")
+    assert first.message in second.text
+    assert choice.status == "ok"
+    asked = [r.body["max_tokens"] for r in server.received]
+    assert asked == ([500, 2000] if found == "truncated" else [500, 500])
+
+
+def test_what_was_cut_off_is_not_read_even_if_it_could_be():
+    with (
+        saying(Spoken("Final answer: red", finish="length")) as server,
+        pytest.raises(NoChoice) as caught,
+    ):
+        select(config(server))
+    assert caught.value.status == "truncated"
+
+
+def test_it_is_asked_for_no_more_than_once_more():
+    with (
+        saying("Well.", "Hm.", "Final answer: green") as server,
+        pytest.raises(NoChoice, match="asked again") as caught,
+    ):
+        select(config(server))
+    assert len(server.received) == 2
+    assert [exchange.answer for exchange in caught.value.exchanges] == ["Well.", "Hm."]
+    assert caught.value.status == "unreadable"
+
+
+def test_a_refusal_is_respected():
+    refusal = Spoken(None, finish="refusal", refusal="This could hurt somebody.")
+    with saying(refusal) as server, pytest.raises(NoChoice, match="could hurt") as caught:
+        select(config(server))
+    assert len(server.received) == 1
+    assert caught.value.status == caught.value.exchanges[0].status == "refused"
+
+
+def test_without_a_policy_nothing_is_chosen_in_place_of_an_answer():
+    with saying("no idea") as server, pytest.raises(NoChoice, match=r"cannot be used"):
+        select(config(server, fallback=None))
+
+
+def test_the_geometric_selector_steps_in_where_it_may_and_the_choice_says_so():
+    with saying("no idea") as server:
+        choice = select(config(server, fallback="geometric"))
+    assert choice.fallback == "geometric"
+    assert choice.status == "unreadable"
+    assert "cannot be used (unreadable)" in choice.reason
+    assert "There is one object" in choice.reason  # so the geometric selector explains itself
+    assert len(choice.exchanges) == 2
+
+
+def test_where_neither_can_choose_both_say_why():
+    with saying("no idea") as server, pytest.raises(NoChoice) as caught:
+        select(config(server, fallback="geometric"), task="frobnicate it")
+    assert "unreadable" in str(caught.value)
+    assert "geometric selector cannot choose either: " in str(caught.value)
+    assert caught.value.status == "unreadable"
+    assert len(caught.value.exchanges) == 2
+
+
+def test_a_server_that_is_silent_costs_no_more_than_the_deadline():
+    with VlmServer(lambda text, images: "red") as server:
+        server.misbehave(hang, always=True)
+        started = time.monotonic()
+        with pytest.raises(NoChoice) as caught:
+            select(config(server, deadline=0.3))
+        assert time.monotonic() - started < 1.0
+    assert caught.value.status == "timed_out"
+    (exchange,) = caught.value.exchanges
+    assert exchange.answer is None
+    assert len(exchange.key) == 64
+
+
+def test_a_server_that_takes_no_question_is_no_choice_either():
+    with VlmServer(lambda text, images: "red") as server:
+        server.misbehave(status(404), always=True)
+        with pytest.raises(NoChoice) as caught:
+            select(config(server))
+    assert caught.value.status == "rejected"
+
+
+@pytest.mark.parametrize("strategy", ["gsi", "cpsi", "gmi", "cpmi"])
+def test_two_votes_for_one_grasp_are_one_choice(strategy):
+    """The model knows what it wants, whatever its mark."""
+    wanted = []
+
+    def answer(text, images):
+        seed_marks = marks[len(wanted)]
+        wanted.append(next(label for label, row in seed_marks.items() if row == 6))
+        return f"Final answer: {wanted[-1]}"
+
+    marks = [marks_of(strategy, permutation) for permutation in (0, 1)]
+    with VlmServer(answer) as server:
+        choice = select(config(server, strategy=strategy, votes=2))
+    assert choice.index == 6
+    assert wanted[0] != wanted[1]
+    assert "same with permuted marks" in choice.reason
+    assert len(choice.exchanges) == 2
+
+
+def marks_of(strategy, permutation):
+    from tog_drake.selectors.strategies import STRATEGIES
+
+    seen = []
+
+    def ask(question):
+        seen.append(question.marks)
+        return question.expects.labels[0]
+
+    scene = replace(SCENE, task=TASK, permutation=permutation, rendering="paper")
+    STRATEGIES[strategy](scene, ask)
+    return seen[0]
+
+
+def test_two_votes_for_two_grasps_are_none():
+    with (
+        saying("Final answer: red") as server,
+        pytest.raises(NoChoice, match="two grasps") as caught,
+    ):
+        select(config(server, votes=2))
+    first, second = caught.value.exchanges
+    assert first.marks["red"] != second.marks["red"]
+    assert caught.value.status == "disagreed"
+    assert first.status == second.status == "ok"
+
+
+@pytest.mark.parametrize("rendering", ["marked", "paper"])
+def test_the_nearest_of_all_grasps_is_chosen_where_the_model_points(rendering):
+    scene = replace(SCENE, rendering=rendering)
+    target = 7  # no candidate
+    assert target not in SCENE.candidates.index
+    p_W = SCENE.candidates.grasps.p_WContact[target] * [1, 0, 0] + [0, 0, 0.03]
+
+    def answer(text, images):
+        x, y = to_picture(scene, images[0], p_W)
+        return f'{{"reasoning": "", "points": [{{"x": {x:.0f}, "y": {y:.0f}, "label": "grasp"}}]}}'
+
+    with VlmServer(answer) as server:
+        choice = select(config(server, strategy="cpg", rendering=rendering))
+    assert choice.index == target
+    contacts = SCENE.candidates.grasps.p_WContact[:, 0]
+    assert abs(contacts[choice.alternatives[0]] - contacts[target]) < 0.04
+
+
+def test_a_point_on_no_object_is_noted_with_the_answer_that_told_it():
+    with (
+        saying('[{"x": 5, "y": 5, "label": "grasp"}]') as server,
+        pytest.raises(NoChoice, match="is on no object") as caught,
+    ):
+        select(config(server, strategy="cpg"))
+    (exchange,) = caught.value.exchanges
+    assert caught.value.status == exchange.status == "off_object"
+    assert "on no object" in exchange.message
+
+
+def test_the_same_seed_asks_the_same_question_and_another_one_shuffles_anew():
+    with saying("Final answer: red") as server:
+        keys = [select(config(server), seed=seed).exchanges[0].key for seed in (1, 1, 2)]
+    assert keys[0] == keys[1] != keys[2]
+
+
+def test_what_was_recorded_is_replayed_bit_for_bit_without_model_or_server(tmp_path):
+    cassette = str(tmp_path / "said.jsonl")
+    with saying("hm", "Final answer: blue") as server:
+        model = OpenAi(model="any", base_url=server.base_url("openai"))
+        recorded = select(config(server, model=model, record=cassette))
+    replayed = select(Vlm(strategy="cpsi", rendering="paper", replay=cassette))
+    assert replayed.index == recorded.index
+    assert replayed.alternatives == recorded.alternatives
+    assert replayed.reason == recorded.reason
+    for before, after in zip(recorded.exchanges, replayed.exchanges, strict=True):
+        assert (before.key, before.answer, before.status) == (after.key, after.answer, after.status)
+    with pytest.raises(InputError, match="no answer to"):
+        select(Vlm(strategy="cpsi", rendering="paper", replay=cassette), task="another one")
+
+
+def test_without_a_grasp_nobody_is_asked():
+    with saying("red") as server, pytest.raises(NoGrasp):
+        select(config(server), candidates=Candidates.empty())
+    assert server.received == []
+
+
+def test_without_a_task_nobody_is_asked():
+    with saying("red") as server, pytest.raises(InputError, match="no words"):
+        select(config(server), task=" ")
+    assert server.received == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"strategy": "gpt"}, r"strategy: 'gpt'; valid: gsi, cpsi, gmi, cpmi, cpg, pivot, avoid"),
+        ({"rendering": "photo"}, r"rendering: 'photo'; valid: marked, paper"),
+        ({"votes": 3}, r"votes: 3; valid: 1, 2"),
+        ({"votes": 2, "strategy": "cpg"}, r"votes: 2 .* cpg .* gsi, cpsi, gmi, cpmi"),
+        ({"fallback": "first"}, r"fallback: 'first'; valid: fail, geometric"),
+        ({"deadline": 0.0}, r"deadline: 0; valid: above 0"),
+        ({"deadline": float("nan")}, r"deadline: nan; valid: above 0"),
+        ({"record": "a", "replay": "b"}, r"record and replay are given; valid: one"),
+        ({"model": None}, r"no model to ask: give --vlm openai:MODEL@URL \| gemini:MODEL"),
+        ({"model": Gemini(model="")}, r"no model is named"),
+        ({"model": OpenAi(model="my-own")}, r"'my-own'.*profile"),
+    ],
+)
+def test_what_is_out_of_bounds_is_refused_before_anything_is_asked(settings, said):
+    whole = Vlm(**{"model": OpenAi(model="any", base_url="http://127.0.0.1:9/v1"), **settings})
+    with pytest.raises(InputError, match=said):
+        make_selector(PipelineConfig(selector=whole), seed=0)
+
+
+def test_a_scenario_says_strategy_and_model_by_tag():
+    text = """
+    pipeline:
+      selector: !Vlm
+        strategy: cpg
+        votes: 1
+        fallback: geometric
+        model: !OpenAi {model: any, base_url: "http://127.0.0.1:9/v1"}
+    """
+    scenario = parse_scenario(text, "test", Scenario())
+    selector = scenario.pipeline.selector
+    assert (selector.strategy, selector.fallback, selector.rendering) == (
+        "cpg", "geometric", "marked"
+    )  # fmt: skip
+    assert selector.model == OpenAi(model="any", base_url="http://127.0.0.1:9/v1")
+    over = parse_scenario("pipeline: {selector: !Vlm {strategy: gmi}}", "test", scenario)
+    assert over.pipeline.selector.strategy == "gmi"
+    assert over.pipeline.selector.model == selector.model
+    assert isinstance(make_selector(over.pipeline, seed=0), VlmSelector)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("!Vlm {model: !Gpt {model: x}}", r"unknown tag !Gpt; valid: !OpenAi, !Gemini"),
+        ("!Vlm {strategies: cpg}", r"no field 'strategies' \(did you mean strategy\?\)"),
+        ("!Vlm {votes: many}", r"votes must be a whole number"),
+        ("!Vlm {model: gpt-6}", r"model must be one of !OpenAi, .*, not 'gpt-6'"),
+    ],
+)
+def test_a_slip_in_the_scenario_is_named_with_what_would_be_valid(text, said):
+    with pytest.raises(InputError, match=said):
+        parse_scenario(f"pipeline: {{selector: {text}}}", "test", Scenario())
+
+
+def test_two_equal_grasps_and_one_point_are_enough():
+    grasps = Grasps(np.eye(4)[None], np.array([0.03]), np.array([0.5]), SCENE.points[:1].copy())
+    alone = Candidates(grasps, np.array([0]), np.array([0]))
+    with saying("Final answer: 1") as server:
+        choice = select(config(server, strategy="gmi"), candidates=alone)
+    assert (choice.index, choice.alternatives) == (0, ())

@@ -1,0 +1,203 @@
+"""The selector that asks a vision-language model.
+
+A strategy asks, in a ``Dialogue``. Here is what all strategies share: whom to ask, the deadline of
+a decision, the vote, and what to do where the model gives no answer that can be used. Nothing ever
+takes the place of an answer without being named.
+"""
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+from pydrake.perception import PointCloud
+
+from tog_drake.errors import InputError, NoChoice, NoGrasp
+from tog_drake.selector import choose
+from tog_drake.selectors.geometric import Geometric, GeometricSelector
+from tog_drake.selectors.marks import Rendering
+from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES, Pick, Scene
+from tog_drake.selectors.vlm.cassette import Cassette, Mode
+from tog_drake.selectors.vlm.client import Client
+from tog_drake.selectors.vlm.dialogue import Dialogue
+from tog_drake.selectors.vlm.profiles import Profile, find_profile
+from tog_drake.selectors.vlm.question import Unanswered
+from tog_drake.selectors.vlm.specification import ModelConfig, check_model
+from tog_drake.task import read_task
+from tog_drake.values import Candidates, Choice, Exchange, View, Workspace
+
+FALLBACKS = ("fail", "geometric")
+MAX_DEADLINE = 3600.0  # [s]
+
+
+@dataclass
+class Vlm:
+    """Asks a vision-language model which grasp suits the task."""
+
+    strategy: str = "gsi"  # gsi, cpsi, gmi, cpmi, cpg, pivot or avoid: see selectors/strategies.py
+    model: ModelConfig | None = None  # whom to ask; replay needs none, the cassette names it
+    rendering: str = "marked"  # marked: numbered discs and a close-up; paper: colours, as published
+    votes: int = 1  # 2: asked again with permuted marks; two different answers are none
+    fallback: str | None = None
+    """Where no answer can be used: "fail" raises NoChoice, "geometric" lets the geometric selector
+    choose and says so. None: "geometric" in `tog run` and `tog choose`, "fail" elsewhere."""
+    deadline: float = 120.0  # [s] for all questions of a decision, retries and repairs included
+    record: str | None = None  # a cassette: what is in it is not asked again, what is not is added
+    replay: str | None = None  # a cassette: nothing is asked, what is not in it is an error
+    export: str | None = None  # a cassette: what is not in it is left to be asked elsewhere
+
+
+class VlmSelector:
+    """Asks a model, and says what became of the question."""
+
+    def __init__(self, config: Vlm, workspace: Workspace, *, seed: int):
+        """Prepares to ask; nothing is sent yet.
+
+        Args:
+            config: what to ask whom.
+            workspace: for the geometric selector, should it have to step in.
+            seed: of the order and the colours of the marks.
+
+        Raises:
+            InputError: a field of the config is out of its bounds, or there is no model to ask.
+        """
+        _check(config)
+        self._config = config
+        self._seed = seed
+        self._geometric = GeometricSelector(Geometric(), workspace)
+        self._model, self._profile, self._client = _connect(config)
+
+    def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
+        """Returns the grasp that the model's answers single out, or what the fallback chooses.
+
+        Raises:
+            NoChoice: the model gave no answer that can be used, and the fallback is "fail" or
+                could not choose either; with its status and what was said.
+            NoGrasp: there is no feasible grasp.
+            InputError: the task is empty, there are more candidates than colours, a question is
+                not on the cassette, or a key is missing.
+        """
+        read_task(task)
+        if len(candidates) == 0:
+            raise NoGrasp("There is no feasible grasp to choose from.")
+        scene = Scene(
+            view=view,
+            points=np.asarray(cloud.xyzs().T, dtype=np.float64),
+            candidates=candidates,
+            task=task,
+            rendering="paper" if self._config.rendering == "paper" else "marked",
+            seed=self._seed,
+        )
+        dialogue = Dialogue(
+            self._client,
+            self._profile,
+            max_tokens=self._model.max_tokens,
+            deadline=time.monotonic() + self._config.deadline,
+        )
+        try:
+            pick = self._vote(scene, dialogue)
+        except Unanswered as error:
+            if error.status in ("off_image", "off_object"):
+                dialogue.blame(error)
+            problem = NoChoice(str(error), status=error.status)
+        except NoChoice as error:
+            problem = error
+        else:
+            choice = choose(pick.index, view, candidates, pick.reason, worth=pick.worth)
+            return replace(choice, exchanges=dialogue.exchanges)
+        return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
+
+    def _vote(self, scene: Scene, dialogue: "Dialogue") -> Pick:
+        """Returns the pick on which all votes agree."""
+        strategy = STRATEGIES[self._config.strategy]
+        picks = [
+            strategy(replace(scene, permutation=vote), dialogue.ask)
+            for vote in range(self._config.votes)
+        ]
+        if len({pick.index for pick in picks}) > 1:
+            said = " Permuted: ".join(pick.reason for pick in picks)
+            raise Unanswered("disagreed", f"the model chose two grasps. {said}")
+        agreed = " The same with permuted marks." if len(picks) > 1 else ""
+        return replace(picks[0], reason=picks[0].reason + agreed)
+
+    def _without_answer(
+        self,
+        problem: NoChoice,
+        exchanges: tuple[Exchange, ...],
+        view: View,
+        cloud: PointCloud,
+        candidates: Candidates,
+        task: str,
+    ) -> Choice:
+        """Does what the config says where the model's answer is no use."""
+        status = problem.status or "unreadable"
+        message = f"The model's answer cannot be used ({status}): {problem}"
+        if self._config.fallback != "geometric":
+            advice = "" if message.endswith((".", "!", "?")) else "."
+            raise NoChoice(message + advice, status=status, exchanges=exchanges) from problem
+        try:
+            choice = self._geometric.select(view, cloud, candidates, task)
+        except (NoChoice, NoGrasp) as error:
+            raise NoChoice(
+                f"{message}; and the geometric selector cannot choose either: {error}",
+                status=status,
+                exchanges=exchanges,
+            ) from error
+        return replace(
+            choice,
+            reason=f"{message}; so the geometric selector chose. {choice.reason}",
+            status=status,
+            exchanges=exchanges,
+            fallback="geometric",
+        )
+
+
+def _connect(config: Vlm) -> tuple[ModelConfig, Profile, Client]:
+    """Returns whom to ask and by what; a cassette that is replayed names its model itself."""
+    files: dict[Mode, str | None] = {
+        "replay": config.replay,
+        "record": config.record,
+        "export": config.export,
+    }
+    cassette = next((Cassette(file, mode) for mode, file in files.items() if file), None)
+    model = config.model
+    if model is None and cassette is not None and cassette.mode == "replay":
+        model = cassette.model()
+    if model is None:
+        raise InputError(
+            "the selector vlm has no model to ask: give --vlm openai:MODEL@URL | gemini:MODEL | "
+            "anthropic:MODEL | replay:FILE, or in a scenario `selector: !Vlm {model: !OpenAi "
+            "{model: NAME, base_url: URL}}`"
+        )
+    check_model(model)
+    found = find_profile(model.model, model.profile)
+    return model, found, Client(model, profile=found.name, cassette=cassette)
+
+
+def _check(config: Vlm) -> None:
+    """Raises InputError for a field that is out of its bounds."""
+    _one_of("strategy", config.strategy, STRATEGIES)
+    _one_of("rendering", config.rendering, get_args(Rendering))
+    if config.fallback is not None:
+        _one_of("fallback", config.fallback, FALLBACKS)
+    if config.votes not in (1, 2):
+        raise InputError(f"!Vlm: votes: {config.votes}; valid: 1, 2")
+    if config.votes == 2 and config.strategy not in PERMUTABLE:
+        raise InputError(
+            f"!Vlm: votes: 2 asks again with permuted marks, and {config.strategy} does not mark "
+            f"the same grasps twice; valid with it: votes: 1, or {', '.join(PERMUTABLE)}"
+        )
+    if not (math.isfinite(config.deadline) and 0 < config.deadline <= MAX_DEADLINE):
+        raise InputError(
+            f"!Vlm: deadline: {config.deadline:g}; valid: above 0, at most {MAX_DEADLINE:g} s"
+        )
+    files = [name for name in ("record", "replay", "export") if getattr(config, name) is not None]
+    if len(files) > 1:
+        raise InputError(f"!Vlm: {' and '.join(files)} are given; valid: one of them")
+
+
+def _one_of(field: str, given: str, valid: Iterable[str]) -> None:
+    if given not in valid:
+        raise InputError(f"!Vlm: {field}: {given!r}; valid: {', '.join(valid)}")

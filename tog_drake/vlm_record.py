@@ -1,0 +1,93 @@
+"""What the record of an episode says of the questions to a vision-language model."""
+
+from typing import Any, TypedDict
+
+from tog_drake.errors import NoChoice
+from tog_drake.pipeline import Decision
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.selectors.vlm.specification import specification
+from tog_drake.values import Exchange
+
+MAX_ANSWER = 20_000  # characters of an answer that a record keeps
+
+
+class ExchangeRecord(TypedDict):
+    """One question to a model and its answer; the images are in the report and on cassettes."""
+
+    prompt: str  # name and version
+    text: str  # with "[image 1]" and so on for the images
+    marks: dict[str, int]  # label -> row among the feasible grasps
+    key: str  # of the question on a cassette
+    answer: str | None  # verbatim, cut after MAX_ANSWER characters; null: none came
+    status: str
+    message: str  # what is wrong with the answer
+    model: str | None  # as the server named it
+    seconds: float  # latency; of a replay, that of the recording
+    tokens: dict[str, int] | None
+    cost: float | None  # [USD]; null: the price is not known
+
+
+class VlmRecord(TypedDict):
+    """What a model was asked in one decision, and what became of it."""
+
+    strategy: str
+    rendering: str
+    model: str  # asked for, such as "gemini:NAME"; else the cassette, "replay:FILE"
+    seed: int  # of the order and colours of the marks
+    status: str | None  # of the choice; "ok": the answer was used; null: nothing was asked
+    fallback: str | None  # the selector that chose because it could not be used
+    exchanges: list[ExchangeRecord]
+
+
+def exchanges_of(decision: Decision) -> tuple[Exchange, ...]:
+    """Returns what a model was asked, whether or not that ended in a choice."""
+    if decision.choice is not None:
+        return decision.choice.exchanges
+    return decision.error.exchanges if isinstance(decision.error, NoChoice) else ()
+
+
+def exchange_records(decision: Decision) -> list[ExchangeRecord]:
+    """Returns the exchanges of a decision without their images."""
+    return [
+        ExchangeRecord(
+            prompt=exchange.prompt,
+            text=exchange.text,
+            marks=dict(exchange.marks),
+            key=exchange.key,
+            answer=None if exchange.answer is None else exchange.answer[:MAX_ANSWER],
+            status=exchange.status,
+            message=exchange.message,
+            model=exchange.model,
+            seconds=round(exchange.seconds, 3),
+            tokens=None if exchange.tokens is None else dict(exchange.tokens),
+            cost=exchange.cost,
+        )
+        for exchange in exchanges_of(decision)
+    ]
+
+
+def vlm_record(decision: Decision, config: Any, *, seed: int) -> VlmRecord | None:
+    """Returns the record of a decision by a model; None where another selector decided.
+
+    Args:
+        decision: it may have ended before anything was asked.
+        config: of the selector.
+        seed: that of the scenario.
+    """
+    if not isinstance(config, Vlm):
+        return None
+    choice, error = decision.choice, decision.error
+    status: str | None = None
+    if choice is not None:
+        status = choice.status
+    elif isinstance(error, NoChoice):
+        status = error.status
+    return VlmRecord(
+        strategy=config.strategy,
+        rendering=config.rendering,
+        model=f"replay:{config.replay}" if config.model is None else specification(config.model),
+        seed=seed,
+        status=status,
+        fallback=None if choice is None else choice.fallback,
+        exchanges=exchange_records(decision),
+    )
