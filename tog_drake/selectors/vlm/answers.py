@@ -13,7 +13,8 @@ from tog_drake.selectors.vlm.pointing import read_points, seen_size
 from tog_drake.selectors.vlm.profiles import Profile
 from tog_drake.selectors.vlm.question import Answer, Options, Points, Unanswered
 
-MAX_LENGTH = 100_000  # characters of an answer, reasoning apart
+MAX_LENGTH = 40_000  # characters of an answer
+MAX_REASONING = 2_000_000  # characters of an answer with the reasoning before it
 
 
 def instruction(profile: Profile, expects: Options | Points) -> str:
@@ -66,7 +67,7 @@ def read(text: str, profile: Profile, expects: Options | Points) -> Answer:
         Unanswered: empty, truncated, too_long, refused, unreadable, ambiguous, out_of_range or
             off_image; nothing else is raised, whatever the text.
     """
-    answer = _without_reasoning(text)
+    answer = _without_reasoning(text) if len(text) <= MAX_REASONING else text
     if len(answer) > MAX_LENGTH:
         raise Unanswered("too_long", f"{len(answer)} characters; at most {MAX_LENGTH} are read")
     answer = answer.strip()
@@ -158,28 +159,31 @@ _TOKEN = re.compile(
     r"(?<![a-zA-Z\d.])[-−]?\d{1,9}(?![a-zA-Z\d%]|\.\d)(?!\s?(?:cm|mm|m|px|pixels?|degrees?|°|kg|g)\b)"
     r"|(?<![a-zA-Z])[a-zA-Z]{1,40}(?![a-zA-Z])"
 )
+"""Words and whole numbers, but no decimals, shares or measures."""
 _SENTINEL = re.compile(
     r"\bfinal\s{1,3}answer\b\W{0,9}(?:is\b\W{0,9})?|\banswer\b\W{0,5}(?:is\b|:)\W{0,9}",
     re.IGNORECASE,
 )
 _SENTENCE_END = re.compile(r"[.!?](?=\s)|\n")
 _NOT = re.compile(r"\b(?:not|never|avoid|neither|nor|except)\b|n['’]t\b", re.IGNORECASE)
-_CHOSEN = ("choice", "final_answer", "answer", "index", "number", "color", "colour", "label")
+_CHOSEN = (
+    "choice", "final_answer", "answer", "best", "selected", "index", "number", "color", "colour",
+    "label", "grasp", "candidate", "option", "id",
+)  # fmt: skip
 _COLORS = frozenset(name for name, _ in CANDIDATE_COLORS)
 
 
 def _read_label(text: str, labels: tuple[str, ...]) -> str:
     by_word = {label.lower(): label for label in labels}
-    objects = [value for value in map(_objects_in, find_values(text)) if value]
+    objects = [found for found in map(_objects_in, find_values(text)) if found]
     for group in objects:
-        chosen = [_chosen_in(value, by_word) for value in group]
-        named = {label for label in chosen if label is not None}
-        if len(named) > 1:
-            raise Unanswered("ambiguous", f"{len(named)} choices at once")
-        if named:
-            return named.pop()
-    for sentinel in list(_SENTINEL.finditer(text))[::-1]:
-        rest = text[sentinel.end() :][:300]
+        chosen = {_chosen_in(value, by_word) for value in group} - {None}
+        if len(chosen) > 1:
+            raise Unanswered("ambiguous", f"{len(chosen)} choices at once")
+        if chosen:
+            return str(chosen.pop())
+    for sentinel in list(_SENTINEL.finditer(text))[:-10:-1]:
+        rest = text[sentinel.end() : sentinel.end() + 300]
         end = _SENTENCE_END.search(rest)
         label = _label_in(rest[: end.start()] if end else rest, by_word)
         if label is not None:
@@ -187,7 +191,12 @@ def _read_label(text: str, labels: tuple[str, ...]) -> str:
     _refuse_what_is_no_answer(text)
     if objects:
         raise Unanswered("unreadable", "the JSON has no key 'choice'")
-    return _in_last_sentence(text, by_word)
+    ends = [end.end() for end in _SENTENCE_END.finditer(text)]
+    for start, stop in zip([0, *ends][::-1], [*ends, len(text)][::-1], strict=True):
+        label = _label_in(text[start:stop], by_word)
+        if label is not None:
+            return label
+    raise Unanswered("unreadable", f"no label is found in {text[-80:]!r}")
 
 
 def _objects_in(value: Any) -> list[dict[Any, Any]]:
@@ -197,8 +206,8 @@ def _objects_in(value: Any) -> list[dict[Any, Any]]:
 def _chosen_in(value: dict[Any, Any], by_word: dict[str, str]) -> str | None:
     """Returns the label that a JSON object names; None where it has no key for it."""
     keys = {key.lower(): key for key in value if isinstance(key, str)}
-    named = [keys[key] for key in _CHOSEN if key in keys] or [k for k in value if k != "reasoning"]
-    if len(named) != 1 and not set(_CHOSEN) & set(keys):
+    named = [keys[key] for key in _CHOSEN if key in keys]
+    if not named:
         return None
     chosen = value[named[0]]
     if isinstance(chosen, list) and len(chosen) == 1:
@@ -218,30 +227,18 @@ def _chosen_in(value: dict[Any, Any], by_word: dict[str, str]) -> str | None:
     return label
 
 
-def _in_last_sentence(text: str, by_word: dict[str, str]) -> str:
-    """Returns the label of the last sentence that has one, unless a "not" is in it."""
-    ends = [end.end() for end in _SENTENCE_END.finditer(text)]
-    for start, stop in zip([0, *ends][::-1], [*ends, len(text)][::-1], strict=True):
-        sentence = text[start:stop]
-        label = _label_in(sentence, by_word)
-        if label is not None:
-            if _NOT.search(sentence):
-                raise Unanswered("ambiguous", f"{sentence[:80]!r} may speak against {label!r}")
-            return label
-    raise Unanswered("unreadable", f"no label is found in {text[-80:]!r}")
-
-
-def _label_in(text: str, by_word: dict[str, str]) -> str | None:
-    """Returns the one label that ``text`` names; None where it names nothing like a label.
+def _label_in(sentence: str, by_word: dict[str, str]) -> str | None:
+    """Returns the one label that a sentence names; None where it names nothing like a label.
 
     Raises:
-        Unanswered: it names several (ambiguous), or only what is no label (out_of_range): another
-            number where labels are numbers, or a colour that is not drawn.
+        Unanswered: it names several, or another number beside it, or has a "not" in it (ambiguous),
+            or it names only what is no label (out_of_range): another number where labels are
+            numbers, or a colour that is not drawn.
     """
     numbers = any(word.isdigit() for word in by_word)
     labels: set[str] = set()
     others: set[str] = set()
-    for token in _TOKEN.findall(text):
+    for token in _TOKEN.findall(sentence):
         is_number = not token.isalpha()
         word = str(int(token.replace("−", "-"))) if is_number else token.lower()
         if word in by_word:
@@ -250,6 +247,8 @@ def _label_in(text: str, by_word: dict[str, str]) -> str | None:
             others.add(word)
     if len(labels) > 1 or (labels and numbers and others):
         raise Unanswered("ambiguous", f"{', '.join(sorted(labels | others)[:5])} in one sentence")
+    if labels and _NOT.search(sentence):
+        raise Unanswered("ambiguous", f"{sentence[:80]!r} may speak against {', '.join(labels)}")
     if labels:
         return labels.pop()
     if others:

@@ -12,10 +12,11 @@ from typing import Any
 
 MAX_DEPTH = 32  # brackets in brackets; an answer needs 4
 MAX_VALUES = 32  # of the last values in a text that are looked at
+MAX_PYTHON = 4_000  # characters of what is read as Python where it is no JSON
 
 _OPENS = {"]": "[", "}": "{"}
 _INTERESTING = re.compile(r'[\[\]{}"\\\n]')
-_FENCE = re.compile(r"^[ \t]{0,3}```[a-zA-Z0-9]{0,10}[ \t]*$", re.MULTILINE)
+_FENCE = re.compile(r"^[ \t]{0,3}```[a-zA-Z0-9]{0,10}[ \t]{0,9}$", re.MULTILINE)
 _BETWEEN = re.compile(r"[\s,;]*")
 
 
@@ -102,6 +103,8 @@ def _load(text: str) -> Any:
             return json.loads(candidate, parse_constant=_refuse_constant)
         except (ValueError, RecursionError):
             pass
+    if len(text) > MAX_PYTHON:
+        return None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the model's backslashes

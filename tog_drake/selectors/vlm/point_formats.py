@@ -40,7 +40,7 @@ def find_points(text: str, profile: Profile) -> list[Told]:
 
 _NUMBER = r"[-+]?(?:\d{1,9}(?:\.\d{0,9})?|\.\d{1,9})(?![\d.])"
 _TAG = re.compile(r"<points?\s([^<>]*)>([^<>]{0,200})")
-_ATTRIBUTE = re.compile(rf"""\b([xy])(\d{{0,4}})\s?=\s?["']?\s?({_NUMBER})\s?["'\s/]""")
+_ATTRIBUTE = re.compile(rf"""\b([xy])(\d{{0,4}})\s?=\s?["']?\s?({_NUMBER})(?=["'\s/]|$)""")
 _LABEL = re.compile(r"""\b(?:alt|label)\s?=\s?["']([^"']{0,200})["']""")
 _COORDS = re.compile(r"""\bcoords\s?=\s?["']([^"']*)["']""")
 _BOX = re.compile(
@@ -48,8 +48,9 @@ _BOX = re.compile(
     r"<(?:box|\|box_start\|)>([^<>]{0,200})<(?:/box|\|box_end\|)>"
 )
 _PAIR = rf"\(\s?({_NUMBER})\s?,\s?({_NUMBER})\s?\)"
-_BARE_BOX = re.compile(rf"([A-Za-z]{{0,30}}):?\s?{_PAIR}\s?,\s?{_PAIR}")
-_TUPLE = re.compile(rf"""(?:([A-Za-z]{{1,30}})["']?\s?:\s?\[?\s?)?{_PAIR}""")
+_BARE_BOX = re.compile(rf"(?:\b([A-Za-z]{{1,30}}):?\s?)?{_PAIR}\s?,\s?{_PAIR}")
+_TUPLE = re.compile(rf"""(?:\b([A-Za-z]{{1,30}})["']?\s?:\s?\[?\s?)?{_PAIR}""")
+_AROUND = re.compile(r"```[a-z]{0,10}|<\|(?:begin|end)_of_box\|>")
 
 
 def _find_tags(text: str, profile: Profile) -> Iterator[Told]:
@@ -94,12 +95,19 @@ def _find_tuples(text: str, profile: Profile) -> Iterator[Told]:
 
 
 def _find_json(text: str, profile: Profile) -> Iterator[Told]:
-    """Points in the last JSON that has any."""
+    """Points in the last JSON that has any.
+
+    Bare numbers, [[320, 240]], count only where there is nothing else: in prose they may be told in
+    another convention.
+    """
     values = find_values(text)
+    alone = _AROUND.sub("", text).strip()
     for value in values:
-        told = list(_collect(value, "", profile))
-        if told:
-            return iter(told)
+        is_bare = not isinstance(value, dict) and not any(isinstance(v, dict) for v in value)
+        if not is_bare or (alone.startswith("[") and alone.endswith("]")):
+            told = list(_collect(value, "", profile))
+            if told:
+                return iter(told)
     if values and values[0] in ([], {}):
         raise Unanswered("empty", "the model gives an empty list of points")
     return iter(())
@@ -108,7 +116,7 @@ def _find_json(text: str, profile: Profile) -> Iterator[Told]:
 _POINTS = ("point", "point_2d", "points", "coordinates", "coordinate")
 _BOXES = ("box_2d", "bbox_2d", "bbox", "box")
 _SAID = ("label", "role", "name")
-_NAMED = ((("x", "y"),), (("x_min", "y_min", "x_max", "y_max"),), (("x1", "y1", "x2", "y2"),))
+_NAMED = (("x", "y"), ("x_min", "y_min", "x_max", "y_max"), ("x1", "y1", "x2", "y2"))
 
 
 def _collect(value: Any, label: str, profile: Profile, *, box: bool = False) -> Iterator[Told]:
@@ -128,7 +136,7 @@ def _collect(value: Any, label: str, profile: Profile, *, box: bool = False) -> 
 def _collect_from_object(value: dict[Any, Any], label: str, profile: Profile) -> Iterator[Told]:
     keys = {key.lower(): key for key in value if isinstance(key, str)}
     label = next((str(value[keys[k]]) for k in _SAID if k in keys), label)[:200]
-    for (names,) in _NAMED:
+    for names in _NAMED:
         if set(names) <= set(keys):
             numbers = [value[keys[name]] for name in names]
             if not all(_is_number(n) for n in numbers):

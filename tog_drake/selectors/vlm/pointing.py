@@ -140,7 +140,7 @@ def _names(label: str, role: str) -> bool:
 
     Anything freer could say the opposite ("do not grasp here").
     """
-    words = re.findall(r"\w+|[:(\-–—]", label.lower())
+    words = re.findall(r"[^\W_]+|[:(]", label.lower())
     if len(words) > 1 and words[0] == role.lower() and not words[1].isalnum():
         return True
     return [word for word in words if word not in _FILLERS] == [role.lower()]
