@@ -676,7 +676,14 @@ class _Anthropic:
             "content": content,
             "stop_reason": stop,
             "stop_sequence": None,
-            "usage": {"input_tokens": 1000, "output_tokens": 50},
+            "stop_details": {"type": "refusal", "category": None, "explanation": spoken.refusal}
+            if stop == "refusal"
+            else None,
+            "usage": {
+                "input_tokens": 1000,
+                "output_tokens": 50,
+                "output_tokens_details": {"thinking_tokens": 30},
+            },
         }
 
 

@@ -7,8 +7,8 @@ from copy import deepcopy
 from typing import Any
 
 _NOT_TAKEN = re.compile(
-    r"unsupported|(not|n't|only)( \w+)? (support|permitted|allowed|available|enabled|compatible)"
-    r"|not implemented|unknown|unrecogni[sz]ed|unexpected|deprecated|cannot find|invalid",
+    r"(not|n't|only)( \w+)? (support|permitted|allowed|available|enabled|compatible|implemented)"
+    r"|unsupported|unavailable|unknown|unrecogni[sz]ed|unexpected|deprecated|cannot find|invalid",
     re.IGNORECASE,
 )
 """How servers say that they do not take a parameter, rather than that something else is wrong."""

@@ -42,7 +42,7 @@ class Gemini:
     model: str = ""  # such as gemini-3.8-flash
     base_url: str = "https://generativelanguage.googleapis.com"  # what comes before /v1beta
     profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str = "GEMINI_API_KEY"  # environment variable of the key; next, GOOGLE_API_KEY
+    key_variable: str = "GOOGLE_API_KEY"  # environment variable of the key; next, GEMINI_API_KEY
     max_tokens: int = 4096  # of an answer, reasoning included
     effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
 
@@ -59,7 +59,7 @@ class Gemini:
 
     def headers(self) -> dict[str, str]:
         # Not as ?key=: addresses end up in logs.
-        return {"x-goog-api-key": require_key([self.key_variable, "GOOGLE_API_KEY"], self.url())}
+        return {"x-goog-api-key": require_key([self.key_variable, "GEMINI_API_KEY"], self.url())}
 
     def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:
         config: dict[str, Any] = {"maxOutputTokens": message.max_tokens}

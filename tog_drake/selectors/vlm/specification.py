@@ -22,7 +22,7 @@ VALID = (
     "molmo:MODEL@URL, qwen:MODEL@URL, replay:FILE"
 )
 # A model's name may hold colons (qwen2.5vl:7b) and at-signs; a URL begins with its scheme.
-_FORM = re.compile(r"([a-z]+):([^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
+_FORM = re.compile(r"([a-z]+):((?!@)[^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
 
 
 def read_specification(text: str, profile: str | None = None) -> ModelConfig:
