@@ -118,7 +118,7 @@ def how_to_send(request: Request) -> str:
 
 
 def _base64(image: Image) -> str:
-    return base64.b64encode(encode_png(image, compression=9)).decode()
+    return base64.b64encode(encode_png(image)).decode()
 
 
 def _shown(request: Request, name: str, about: str) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
 from tog_drake.selectors.vlm.profiles import Profile, find_profile
 from tog_drake.selectors.vlm.question import Unanswered
+from tog_drake.selectors.vlm.request import QuestionPending, Request
 from tog_drake.selectors.vlm.specification import ModelConfig, check_model
 from tog_drake.task import read_task
 from tog_drake.values import Candidates, Choice, Exchange, View, Workspace
@@ -76,6 +77,7 @@ class VlmSelector:
             NoChoice: the model gave no answer that can be used, and the fallback is "fail" or
                 could not choose either; with its status and what was said.
             NoGrasp: there is no feasible grasp.
+            QuestionPending: a question is to be asked elsewhere.
             InputError: the task is empty, there are more candidates than colours, a question is
                 not on the cassette, or a key is missing.
         """
@@ -112,10 +114,15 @@ class VlmSelector:
     def _vote(self, scene: Scene, dialogue: "Dialogue") -> Pick:
         """Returns the pick on which all votes agree."""
         strategy = STRATEGIES[self._config.strategy]
-        picks = [
-            strategy(replace(scene, permutation=vote), dialogue.ask)
-            for vote in range(self._config.votes)
-        ]
+        picks: list[Pick] = []
+        pending: list[Request] = []  # the votes do not wait for each other
+        for vote in range(self._config.votes):
+            try:
+                picks.append(strategy(replace(scene, permutation=vote), dialogue.ask))
+            except QuestionPending as question:
+                pending += question.requests
+        if pending:
+            raise QuestionPending(tuple(pending))
         if len({pick.index for pick in picks}) > 1:
             said = " Permuted: ".join(pick.reason for pick in picks)
             raise Unanswered("disagreed", f"the model chose two grasps. {said}")
