@@ -20,7 +20,17 @@ from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import scenario_files
 
-COMMANDS = typer.main.get_command(cli.app).commands
+
+def _leaves(group, *path):
+    """Every command that does something, by what is typed: "run", "vlm check"."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from _leaves(command, *path, name)
+        else:
+            yield " ".join((*path, name)), command
+
+
+COMMANDS = dict(_leaves(typer.main.get_command(cli.app)))
 SCENARIOS = [
     *("Axe", "Bottle", "Brush", "Cup", "Hammer", "Knife", "LotionBottle", "Muddler", "Mug"),
     *("Pan", "Pot", "Scissors", "Screwdriver", "Spatula", "Spoon", "ToyDinosaur"),
@@ -70,17 +80,21 @@ def _start(*arguments, cwd):
 def test_help_lists_every_subcommand():
     done = tog("--help")
     assert (done.status, done.err) == (0, "")
-    for name in ("run", "demo", "choose", "eval", "scenarios", "show", "diagram", "doctor"):
+    for name in (
+        "run", "demo", "choose", "eval", "scenarios", "show", "diagram", "doctor", "prompts", "vlm"
+    ):  # fmt: skip
         assert f"\n  {name} " in done.out
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_subcommand_has_help_with_an_example_that_can_be_typed(name):
-    done = tog(name, "--help")
+    words = name.split()
+    done = tog(*words, "--help")
     assert done.status == 0
     example = " ".join(done.out.split("Example: ")[1].split())
-    program, subcommand, *arguments = shlex.split(example)
-    assert (program, subcommand) == ("tog", name)
+    program, *arguments = shlex.split(example)
+    assert (program, arguments[: len(words)]) == ("tog", words)
+    arguments = arguments[len(words) :]
     # Raises where an option is unknown or a required one is missing.
     COMMANDS[name].make_context(name, arguments)
 
@@ -478,7 +492,7 @@ def _episode(scenario, selector, outcome, compliance=True, seed=0):
     lifted = outcome == "lifted"
     return {
         "object": "thing", "seed": seed,
-        "scenario": scenario, "selector": {"kind": selector}, "outcome": outcome,
+        "scenario": scenario, "selector": {"kind": selector}, "vlm": None, "outcome": outcome,
         "grasp_success": lifted, "task_compliance": compliance,
         "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
     }  # fmt: skip

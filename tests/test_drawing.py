@@ -190,6 +190,18 @@ def test_the_choice_has_a_dot_at_its_contact_point():
         assert max(ray) > 200  # its white ring
 
 
+def test_where_a_model_points_there_is_a_cross_that_leaves_the_pixel_free():
+    candidates, choice = make_decision()
+    pointed = replace(choice, pointed={"grasp": (100.0, 120.0), "avoid": (200.0, 120.0)})
+    image = decision_image(make_view(), candidates, pointed)
+    for u, straight in ((100, True), (200, False)):
+        assert image[pixel(u, 120)].tolist() == [GRAY] * 3
+        for du, dv in ((9, 0), (0, 9), (-9, 0), (0, -9)):
+            assert (image[pixel(u + du, 120 + dv)].min() > 240) == straight
+        for du, dv in ((6, 6), (-6, 6), (6, -6), (-6, -6)):
+            assert (image[pixel(u + du, 120 + dv)].min() > 240) == (not straight)
+
+
 def test_a_choice_that_is_no_candidate_is_white():
     candidates, _ = make_decision()
     choice = Choice(0, candidates.grasps.take(np.array([0])), "because")

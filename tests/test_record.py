@@ -37,7 +37,13 @@ def _decision():
         grasps=_grasps(4),
         feasible_grasps=feasible,
         candidates=Candidates(feasible, np.array([0, 2]), np.array([0, 0, 1])),
-        choice=Choice(index=2, grasp=_grasps(1), reason="why", pixel=(1.234567, 2.0)),
+        choice=Choice(
+            index=2,
+            grasp=_grasps(1),
+            reason="why",
+            pixel=(1.234567, 2.0),
+            pointed={"grasp": (3.0, 4.567)},
+        ),
         motion=replace(GraspMotion.still(), duration=6.0, phase_times={"lift": 2.0}, grasp_index=1),
         seconds=dict.fromkeys(STAGES, 0.1),
     )
@@ -59,7 +65,7 @@ def test_a_record_has_every_field_of_the_schema_in_its_order_and_is_json():
     assert record["rejected"] == {"no_ik": 1}
     assert record["choice"] == {
         "index": 2, "planned_index": 1, "part": None, "reason": "why", "status": "ok",
-        "pixel": [1.23, 2.0], "score": 1.0, "width": 0.03,
+        "pixel": [1.23, 2.0], "pointed": {"grasp": [3.0, 4.57]}, "score": 1.0, "width": 0.03,
     }  # fmt: skip
     assert record["motion"] == {"duration": 6.0, "phases": {"lift": 2.0}, "note": ""}
     assert record["outcome"] == "chosen"

@@ -10,6 +10,7 @@ from test_strategies import bar_scene, to_picture
 from vlm_server import KEY, Spoken, VlmServer, hang, status
 
 from tog_drake.errors import InputError, NoChoice, NoGrasp
+from tog_drake.pinhole import project
 from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm.gemini import Gemini
@@ -228,6 +229,9 @@ def test_the_nearest_of_all_grasps_is_chosen_where_the_model_points(rendering):
     assert choice.index == target
     contacts = SCENE.candidates.grasps.p_WContact[:, 0]
     assert abs(contacts[choice.alternatives[0]] - contacts[target]) < 0.04
+    (shown,) = project(np.array([p_W]), SCENE.view.intrinsics, SCENE.view.X_WC)
+    assert choice.pointed.keys() == {"grasp"}
+    assert choice.pointed["grasp"] == pytest.approx(tuple(shown), abs=0.6)  # told in whole pixels
 
 
 def test_a_point_on_no_object_is_noted_with_the_answer_that_told_it():

@@ -13,16 +13,24 @@ from rich.table import Table
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    FallbackOption,
     JsonOption,
     KOption,
+    ModelOption,
     NoiseOption,
+    ProfileOption,
     ProposerOption,
+    RecordOption,
+    RenderingOption,
+    ReplayOption,
     ScenarioOption,
     ScenarioText,
     SeedOption,
     SelectorOption,
     SelectorOptions,
+    StrategyOption,
     TaskOption,
+    VotesOption,
     valid,
 )
 from tog_drake.terminal import (
@@ -34,6 +42,7 @@ from tog_drake.terminal import (
     say,
 )
 from tog_drake.visible_text import visible
+from tog_drake.vlm_commands import app as vlm_app
 from tog_drake.vlm_commands import prompts
 
 if TYPE_CHECKING:
@@ -70,6 +79,14 @@ def run(
         typer.Option("--object", help="Which object the task is about; alone, its scenario too."),
     ] = None,
     selector: SelectorOption = None,
+    strategy: StrategyOption = None,
+    vlm: ModelOption = None,
+    profile: ProfileOption = None,
+    rendering: RenderingOption = None,
+    votes: VotesOption = None,
+    fallback: FallbackOption = None,
+    record: RecordOption = None,
+    replay: ReplayOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
@@ -94,7 +111,10 @@ def run(
     check_folder(out)
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
-    loaded = _load(name, scenario_text, SelectorOptions(selector), proposer, k, seed)
+    options = SelectorOptions(
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+    )
+    loaded = _load(name, scenario_text, options, proposer, k, seed, fallback="geometric")
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None
@@ -161,6 +181,14 @@ def choose(
         Path | None, typer.Option(help="JSON 4x4 matrix X_WC with z of W up; tells up.")
     ] = None,
     selector: SelectorOption = None,
+    strategy: StrategyOption = None,
+    vlm: ModelOption = None,
+    profile: ProfileOption = None,
+    rendering: RenderingOption = None,
+    votes: VotesOption = None,
+    fallback: FallbackOption = None,
+    record: RecordOption = None,
+    replay: ReplayOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
@@ -180,7 +208,10 @@ def choose(
     console = console_for(as_json)
     check_folder(out)
     config = PipelineConfig()
-    SelectorOptions(selector).apply(config)
+    options = SelectorOptions(
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+    )
+    options.apply(config, fallback="geometric")
     _override(config, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
@@ -320,6 +351,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 
 app.command(epilog=_epilog("tog prompts cpg"))(prompts)
+app.add_typer(vlm_app, name="vlm")
 
 
 def main() -> None:
@@ -392,13 +424,14 @@ def _load(
     proposer: str | None = None,
     k: str | None = None,
     seed: int | None = None,
+    fallback: str | None = None,
 ) -> "Scenario":
     """The scenario with the command's options in place."""
     from tog_drake.scenario import load_scenario
 
     scenario = load_scenario(name, text)
     if selector is not None:
-        selector.apply(scenario.pipeline)
+        selector.apply(scenario.pipeline, fallback=fallback)
     _override(scenario.pipeline, proposer, k)
     if seed is not None:
         scenario.random_seed = seed

@@ -140,7 +140,8 @@ def decision_image(
 ) -> Image:
     """Draws what was decided: all grasps faint, candidates in their colours, the choice bold.
 
-    What is None, because its stage failed, is left out.
+    Where a model pointed there is a cross, an upright one at the place to grasp. What is None,
+    because its stage failed, is left out.
     """
     if candidates is not None:
         K = len(candidates)
@@ -153,8 +154,20 @@ def decision_image(
     if choice is not None:
         color = choice_color(candidates, choice)
         bold = draw_grasps(view, choice.grasp, color, thickness=4.0, contacts=True)
+        for role, pixel in choice.pointed.items():
+            _draw_cross(bold, np.array(pixel), upright=role == "grasp")
         view = replace(view, rgb=bold)
     return view.rgb
+
+
+def _draw_cross(image: Image, center: Array, *, upright: bool) -> None:
+    """Draws a white cross around (2,) [pixel], which stays free, upright or tilted by 45°."""
+    scale = max(1.0, min(image.shape[1] / 640, image.shape[0] / 480))
+    arms = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    if not upright:
+        arms = arms @ (np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0))
+    lines = center + scale * arms[:, None, :] * np.array([4.0, 14.0])[:, None]
+    draw_outlined(image, lines, (255, 255, 255), 2.5 * scale)
 
 
 def depth_range(depth: NDArray[np.float32]) -> tuple[float, float] | None:

@@ -4,20 +4,23 @@ Nothing heavy is imported here: the help stays quick.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from tog_drake.errors import InputError
+from tog_drake.files import check_file
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
+    from tog_drake.selectors.vlm.selector import Vlm
 
 T = TypeVar("T")
 
 MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL, anthropic:MODEL or replay:FILE"
+MODEL_HELP = "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL."
 _REPLAY = "replay:"
 
 ScenarioOption = Annotated[
@@ -39,13 +42,15 @@ NoiseOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
 ]
-SelectorOption = Annotated[str | None, typer.Option(help="geometric | top-score | random | oracle")]
+SelectorOption = Annotated[
+    str | None, typer.Option(help="geometric | top-score | random | oracle | vlm")
+]
 StrategyOption = Annotated[
     str | None, typer.Option(help="How a model is asked: gsi|cpsi|gmi|cpmi|cpg|pivot|avoid.")
 ]
 ModelOption = Annotated[
     str | None,
-    typer.Option("--vlm", help=f"Which model is asked: {MODEL_FORMS}. Keys: see tog doctor."),
+    typer.Option("--vlm", help=f"{MODEL_HELP} Or replay:FILE."),
 ]
 ProfileOption = Annotated[
     str | None, typer.Option(help="How the model tells places, where its name does not tell.")
@@ -72,19 +77,83 @@ class SelectorOptions:
     """Who chooses the grasp, and how a model is asked; None leaves the scenario's setting."""
 
     selector: str | None = None
+    strategy: str | None = None
+    vlm: str | None = None
+    profile: str | None = None
+    rendering: str | None = None
+    votes: int | None = None
+    fallback: str | None = None
+    record: Path | None = None
+    replay: Path | None = None
 
-    def apply(self, config: "PipelineConfig") -> None:
+    def apply(self, config: "PipelineConfig", *, fallback: str | None = None) -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
 
+        Args:
+            config: of the pipeline, changed in place.
+            fallback: what holds where neither options nor scenario say who chooses.
+
         Raises:
-            InputError: an unknown name.
+            InputError: an unknown name, options that do not go together, a cassette that cannot be
+                read or written, or no model to ask.
         """
         from tog_drake.pipeline import SELECTORS
+        from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 
-        if self.selector is not None:
-            kind = valid(self.selector, SELECTORS, "selector")
+        selector = "vlm" if self.selector is None and self.vlm is not None else self.selector
+        if selector is not None:
+            kind = valid(selector, SELECTORS, "selector")
             if not isinstance(config.selector, kind):
                 config.selector = kind()
+        if isinstance(config.selector, Vlm):
+            self._apply_to(config.selector)
+            config.selector.fallback = config.selector.fallback or fallback
+            VlmSelector(config.selector, config.workspace, seed=0)  # to hear now what is wrong
+        elif given := self._given():
+            chooses = type(config.selector).__name__
+            raise InputError(
+                f"{', '.join(given)}: only a model is asked so, and {chooses} is to choose here; "
+                f"valid: with --vlm {MODEL_FORMS}"
+            )
+
+    def _given(self) -> list[str]:
+        """The options for a model that were given, as they are typed."""
+        names = [f.name for f in fields(self) if f.name != "selector"]
+        return [f"--{name}" for name in names if getattr(self, name) is not None]
+
+    def _apply_to(self, config: "Vlm") -> None:
+        for name in ("strategy", "rendering", "votes", "fallback"):
+            if getattr(self, name) is not None:
+                setattr(config, name, getattr(self, name))
+        replay = self._apply_model(config)
+        if self.record is not None and replay is not None:
+            raise InputError(
+                f"--record {self.record} and --replay {replay} exclude each other; valid: "
+                "--record alone, which asks nothing that the file answers already"
+            )
+        if replay is not None:
+            config.replay, config.record = str(replay), None
+        if self.record is not None:
+            check_file(self.record, "--record")
+            config.record, config.replay = str(self.record), None
+
+    def _apply_model(self, config: "Vlm") -> Path | None:
+        """Puts in place who is asked; returns the cassette to replay, if one is named."""
+        from tog_drake.selectors.vlm.specification import read_specification
+
+        if self.vlm is not None and self.vlm.startswith(_REPLAY):
+            if self.replay is not None or self.profile is not None:
+                other = "--replay" if self.replay is not None else "--profile"
+                raise InputError(f"{other} with --vlm {self.vlm}: the cassette says it; valid: one")
+            config.model = None
+            return Path(self.vlm.removeprefix(_REPLAY))
+        if self.vlm is not None:
+            config.model = read_specification(self.vlm, self.profile)
+        elif self.profile is not None:
+            if config.model is None:
+                raise InputError("--profile says how a model tells places; valid: with --vlm MODEL")
+            config.model.profile = self.profile
+        return self.replay
 
 
 def valid(given: str, known: Mapping[str, T], what: str) -> T:

@@ -29,6 +29,7 @@ class ChoiceRecord(TypedDict):
     reason: str
     status: str  # "ok", or what the selector could not resolve
     pixel: list[float] | None  # [u, v] of the contact point in the view
+    pointed: dict[str, list[float]]  # role -> [u, v] in the view, where a model pointed
     score: float  # the proposer's confidence
     width: float  # [m] between the contacts
 
@@ -185,6 +186,7 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
         reason=choice.reason,
         status=choice.status,
         pixel=None if choice.pixel is None else [round(c, 2) for c in choice.pixel],
+        pointed={role: [round(c, 2) for c in pixel] for role, pixel in choice.pointed.items()},
         score=float(choice.grasp.score[0]),
         width=float(choice.grasp.width[0]),
     )

@@ -135,6 +135,7 @@ def _asked(
             "Strategy": vlm.get("strategy"),
             "Rendering": vlm.get("rendering"),
             "Model asked for": vlm.get("model"),
+            "Seed of the marks": vlm.get("seed"),
             "Status": _words(vlm.get("status") or exchanges[-1].status),
             "Fallback": f"{fallback}, which made the choice" if fallback else "not needed",
             "In all": usage(

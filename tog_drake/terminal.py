@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from tog_drake.record import EpisodeRecord
 
+LONGEST = 100  # characters of what a model says that are shown on a line
+
 
 def keep_drake_quiet() -> None:
     """Keeps Drake's notices off stderr, but not its warnings.
@@ -73,6 +75,7 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     for stage, count, seconds in stage_rows(record):
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
+    print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
         say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
@@ -89,3 +92,27 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     )
     for pair, newtons in (record["collisions"] or {}).items():
         say(console, f"collision: {pair}, {newtons:.1f} N")
+
+
+def print_answers(console: Console, record: "EpisodeRecord") -> None:
+    """One line for each question to a model: what it answered, and what that took."""
+    from tog_drake.record import usage
+
+    vlm = record["vlm"]
+    if vlm is None:
+        return
+    for exchange in vlm["exchanges"]:
+        answer, status = exchange["answer"], exchange["status"]
+        said = "did not answer" if answer is None else f'answered "{_end(answer)}"'
+        trouble = "" if status == "ok" else f" ({status}: {exchange['message'][:LONGEST]})"
+        took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]])
+        name = (exchange["model"] or vlm["model"] or "unnamed")[:LONGEST]
+        say(console, f"model: {name} {said}{trouble} in {took}")
+    if vlm["fallback"]:
+        say(console, f"fallback: {vlm['fallback']} chose, because the model's answer was no use")
+
+
+def _end(answer: str) -> str:
+    """The end of an answer, where what was asked for stands, on one line."""
+    line = " ".join(answer.split())
+    return line if len(line) <= LONGEST else "… " + line[-LONGEST:]

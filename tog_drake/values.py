@@ -173,6 +173,8 @@ class Choice:
     """Rows of ``Candidates.grasps`` to try, best first, where no motion to ``index`` is found."""
     exchanges: tuple[Exchange, ...] = ()  # the questions to a model and its answers, in order
     fallback: str | None = None  # the selector that chose because the model's answer was no use
+    pointed: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Where a model pointed: role ("grasp", "avoid") -> (u, v) in the view."""
 
     @staticmethod
     def none() -> "Choice":

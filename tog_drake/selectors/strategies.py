@@ -18,7 +18,7 @@ The first five are those of "Training-free task-oriented grasping" (arXiv 2502.0
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +78,8 @@ class Pick:
     index: int  # row of ``Candidates.grasps``
     reason: str  # for a person
     worth: Array | None = None  # (N,) of each grasp, −∞ where not at all; None: see ``choose``
+    pointed: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Role -> (u, v) in the view, where the model was asked to point."""
 
 
 Ask = Callable[[Question], Answer]
@@ -108,17 +110,18 @@ def cpmi(scene: Scene, ask: Ask) -> Pick:
 
 def cpg(scene: Scene, ask: Ask) -> Pick:
     """Contact point guided: the feasible grasp whose contact is nearest to where it points."""
-    (grasp,) = _seen_points(scene, ask, "cpg", ("grasp",))
-    return _nearest(scene, grasp, np.ones(len(scene.candidates.grasps), bool))
+    pixels, (grasp,) = _seen_points(scene, ask, "cpg", ("grasp",))
+    pick = _nearest(scene, grasp, np.ones(len(scene.candidates.grasps), bool))
+    return replace(pick, pointed=pixels)
 
 
 def avoid(scene: Scene, ask: Ask) -> Pick:
     """As cpg, without the grasps that are nearer to the place to avoid, or close to it."""
-    grasp, avoided = _seen_points(scene, ask, "avoid", ("grasp", "avoid"))
+    pixels, (grasp, avoided) = _seen_points(scene, ask, "avoid", ("grasp", "avoid"))
     contacts = scene.candidates.grasps.p_WContact
     away = np.linalg.norm(contacts - avoided, axis=1)
     allowed = (away > KEEP_OFF) & (away > np.linalg.norm(contacts - grasp, axis=1))
-    return _nearest(scene, grasp, allowed)
+    return replace(_nearest(scene, grasp, allowed), pointed=pixels)
 
 
 def pivot(scene: Scene, ask: Ask) -> Pick:
@@ -243,8 +246,11 @@ def _framing(scene: Scene, marked: Grasps) -> Framing:
     return frame_things(scene.view, scene.points, marked)
 
 
-def _seen_points(scene: Scene, ask: Ask, name: str, roles: tuple[str, ...]) -> list[Array]:
-    """Asks for a point in the picture for each role; returns the points that are seen there."""
+def _seen_points(
+    scene: Scene, ask: Ask, name: str, roles: tuple[str, ...]
+) -> tuple[dict[str, tuple[float, float]], list[Array]]:
+    """Asks for a point in the picture for each role; returns their pixels in the view by role, and
+    the points in W that are seen there."""
     framing = _framing(scene, scene.candidates.grasps)
     prompt = prompts.load(name)
     answer = ask(
@@ -255,7 +261,9 @@ def _seen_points(scene: Scene, ask: Ask, name: str, roles: tuple[str, ...]) -> l
         )
     )
     assert isinstance(answer, dict)
-    return [_seen_point(scene, framing.to_view(answer[role]), role) for role in roles]
+    pixels = {role: framing.to_view(answer[role]) for role in roles}
+    points = [_seen_point(scene, pixel, role) for role, pixel in pixels.items()]
+    return {role: (float(u), float(v)) for role, (u, v) in pixels.items()}, points
 
 
 def _seen_point(scene: Scene, pixel: Array, role: str) -> Array:

@@ -108,7 +108,7 @@ class VlmSelector:
             problem = error
         else:
             choice = choose(pick.index, view, candidates, pick.reason, worth=pick.worth)
-            return replace(choice, exchanges=dialogue.exchanges)
+            return replace(choice, exchanges=dialogue.exchanges, pointed=pick.pointed)
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
 
     def _vote(self, scene: Scene, dialogue: "Dialogue") -> Pick:

@@ -1,0 +1,62 @@
+"""What the command prints of an episode."""
+
+import unicodedata
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from tog_drake.terminal import print_answers, say
+
+
+def printed(record):
+    out = StringIO()
+    print_answers(Console(file=out, width=80), record)
+    return out.getvalue()
+
+
+def exchange(**changes):
+    return {
+        "answer": "2", "status": "ok", "message": "", "model": "gpt-9", "seconds": 0.81,
+        "tokens": {"input": 1200, "output": 34}, "cost": 0.00123, **changes,
+    }  # fmt: skip
+
+
+def vlm(*exchanges, fallback=None):
+    return {"vlm": {"model": "openai:gpt", "fallback": fallback, "exchanges": list(exchanges)}}
+
+
+def test_one_line_says_what_a_model_answered_and_what_it_took():
+    assert printed(vlm(exchange())) == (
+        'model: gpt-9 answered "2" in 0.8 s, 1,234 tokens, $0.0012\n'
+    )
+    assert printed({"vlm": None}) == ""
+
+
+def test_it_says_what_is_wrong_with_an_answer_and_who_chose_instead():
+    useless = exchange(answer="nine", status="unreadable", message="no label", cost=None)
+    silent = exchange(answer=None, status="timed_out", message="60 s", model=None, tokens=None)
+    assert printed(vlm(useless, silent, fallback="geometric")).splitlines() == [
+        'model: gpt-9 answered "nine" (unreadable: no label) in 0.8 s, 1,234 tokens, price unknown',
+        "model: openai:gpt did not answer (timed_out: 60 s) in 0.8 s, $0.0012",
+        "fallback: geometric chose, because the model's answer was no use",
+    ]
+
+
+def test_of_a_long_answer_the_end_is_shown_where_the_choice_is():
+    line = printed(vlm(exchange(answer="I think.\n" * 10_000 + '"choice": "2"')))
+    assert len(line) < 250
+    assert '"choice": "2"" in' in line
+
+
+@pytest.mark.parametrize("hostile", ["\x1b[2J\x1b]0;gone\x07", "\u202etxet", "\r\x08\x7f\x9b1m"])
+def test_control_characters_are_shown_and_not_obeyed(hostile):
+    line = printed(vlm(exchange(answer=hostile, model=hostile, status="refused", message=hostile)))
+    assert line.count("\n") == 1
+    assert not [c for c in line[:-1] if unicodedata.category(c).startswith("C")]
+
+
+def test_a_line_is_one_line_and_markup_is_none():
+    out = StringIO()
+    say(Console(file=out, width=20, markup=False), "[red]a\nb " + "long " * 10)
+    assert out.getvalue() == "[red]a\\u000ab " + "long " * 10 + "\n"
