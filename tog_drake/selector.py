@@ -1,7 +1,8 @@
 """Chooses the grasp that the task asks for.
 
 Selectors differ in what they read: scores alone (``selectors/baselines.py``), words and the shape
-of the cloud (``selectors/geometric.py``), or simulated labels (``selectors/oracle.py``).
+of the cloud (``selectors/geometric.py``), what a vision-language model answers
+(``selectors/vlm/selector.py``), or simulated labels (``selectors/oracle.py``).
 """
 
 from typing import Protocol

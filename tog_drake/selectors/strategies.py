@@ -14,7 +14,7 @@ pivot       gsi in up to three rounds, each with grasps around the winner of the
 avoid       it points at the place to hold and at one to keep off
 ==========  ======================================================================
 
-The first five are those of "Training-free task-oriented grasping" (arXiv 2502.04873).
+The first five are published in arXiv 2502.04873.
 """
 
 from collections.abc import Callable, Sequence
