@@ -96,6 +96,8 @@ def test_a_colour_counts_only_as_a_word_and_only_if_it_is_drawn(said, label):
         ("I'm sorry, but I can't help with image 1.", "refused"),
         ("As an AI I have no hands.", "refused"),
         ("I cannot determine the answer between 1 and 2", "refused"),
+        ("I'm not able to see any image 1 here.", "refused"),
+        ("I can’t say", "unreadable"),
         ("The handle.", "unreadable"),
         ('{"choice": true}', "unreadable"),
         ('{"choice": 2.5}', "unreadable"),
@@ -371,7 +373,7 @@ def test_any_change_to_an_answer_leaves_an_answer_or_none(text, mutations):
 def test_no_text_of_full_length_takes_long(piece):
     text = piece * (MAX_LENGTH // len(piece))
     asked = [(text, NUMBERS, "pixels"), ("[" + text[2:] + "]", NUMBERS, "pixels")]
-    asked += [(text, ONE, profile.name) for profile in WRITTEN]
+    asked += [(text, ONE, name) for name in ("internvl", "qwen2.5-vl", "robobrain-2.0")]
     asked += [(f"<points {text[9:]}>", ONE, name) for name in ("molmo", "molmo2")]
     for said, expects, name in asked:
         started = time.process_time()

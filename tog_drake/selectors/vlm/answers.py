@@ -136,9 +136,9 @@ def _without_reasoning(text: str) -> str:
 
 
 _REFUSES = re.compile(
-    r"\bsorry\b|\bas an ai\b|\bi (?:can ?not|can['’]t|am unable to|am not able to|won['’]t)\b"
-    r"|\b(?:can ?not|unable to) (?:determine|assist|help|process|comply|answer)\b"
-    r"|\bwithout the image\b",
+    r"\bsorry\b|\bas an ai\b|\bwithout the image\b"
+    r"|\b(?:can ?not|can['’]t|won['’]t|unable to|not able to|decline to)"
+    r" (?:assist|help|process|comply|provide|answer|determine|view|see (?:the|any|an) image)\b",
     re.IGNORECASE,
 )
 _NONE = re.compile(r"\bthere (?:are|is) none\b|^\W{0,9}none\W{0,9}$", re.IGNORECASE)
