@@ -18,7 +18,7 @@ from tog_drake.drawing import (
     hand_wireframe,
     project_segments,
 )
-from tog_drake.panda import FINGERTIP_Z, GRASP_Z, PALM_Z
+from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, GRASP_Z, PALM_Z
 from tog_drake.values import Candidates, Choice, Grasps, Intrinsics, View
 
 GRAY = 128
@@ -34,14 +34,15 @@ def make_view(X_WC=None):
     )
 
 
-def make_grasps(positions, width=0.04, R=None):
+def make_grasps(positions, across=0.04, R=None):
+    """Grasps whose U is ``across`` [m] wide, and whose contacts lie where its arms are."""
     X_WG = np.tile(np.eye(4), (len(positions), 1, 1))
     X_WG[:, :3, 3] = positions
     if R is not None:
         X_WG[:, :3, :3] = R
     n = len(positions)
-    contact = X_WG[:, :3, 3] + X_WG[:, :3, 1] * width / 2
-    return Grasps(X_WG, np.full(n, width), np.linspace(0.9, 0.5, n), contact)
+    contact = X_WG[:, :3, 3] + X_WG[:, :3, 1] * across / 2
+    return Grasps(X_WG, np.full(n, across - FINGER_THICKNESS), np.linspace(0.9, 0.5, n), contact)
 
 
 # Approach along W's x, so that the hand lies flat in the image; closing along W's y.
@@ -65,11 +66,11 @@ def test_colors_follow_the_order_of_the_paper_and_differ():
     st.lists(st.floats(-3, 3), min_size=6, max_size=6),
     st.floats(0.0, 0.08),
 )
-def test_wireframe_is_a_u_of_the_true_width_in_any_pose(pose, width):
+def test_wireframe_is_a_u_through_the_middle_of_the_fingers_in_any_pose(pose, width):
     R = Rotation.from_rotvec(pose[:3]).as_matrix()
-    hand = hand_wireframe(make_grasps([pose[3:]], width, R))[0]
+    hand = hand_wireframe(make_grasps([pose[3:]], width + FINGER_THICKNESS, R))[0]
     left, palm, right, stem = (hand - pose[3:]) @ R  # in G
-    h = width / 2
+    h = width / 2 + FINGER_THICKNESS / 2
     np.testing.assert_allclose(left, [[0, -h, FINGERTIP_Z], [0, -h, PALM_Z]], atol=1e-12)
     np.testing.assert_allclose(palm, [[0, -h, PALM_Z], [0, h, PALM_Z]], atol=1e-12)
     np.testing.assert_allclose(right, [[0, h, PALM_Z], [0, h, FINGERTIP_Z]], atol=1e-12)

@@ -1,8 +1,10 @@
 """Marks on images: grasps as the outline of the hand, depth as colour.
 
-The hand is drawn as a U with a stem, true to size: the arms of the U lie where the inner faces of
-the fingers are when they touch the object, and end at the finger tips; the stem ends at the
-origin of the hand body H.
+The hand is drawn as a U with a stem, true to size, as it is when it has closed: the arms of the U
+run along the middle of the fingers, half a finger's thickness outside the faces that touch, and end
+at the finger tips; the stem ends at the origin of the hand body H. So a finger is seen at either
+side of the object. (Along the faces it would lie on the object's edge, and as wide open as the hand
+arrives it would reach over things beside the object.)
 """
 
 from collections.abc import Sequence
@@ -11,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tog_drake.panda import FINGERTIP_Z, GRASP_Z, PALM_Z
+from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, GRASP_Z, PALM_Z
 from tog_drake.pinhole import project
 from tog_drake.values import Array, Candidates, Choice, Grasps, View
 
@@ -58,7 +60,7 @@ def hand_wireframe(grasps: Grasps) -> Array:
         (N, 4, 2, 3) [m]: for each grasp and segment its two ends.
     """
     p_GEnds = np.zeros((len(grasps), 4, 2, 3))
-    half = grasps.width[:, None] / 2
+    half = (grasps.width[:, None] + FINGER_THICKNESS) / 2
     p_GEnds[:, 0, :, 1] = -half
     p_GEnds[:, 1, :, 1] = half * [-1, 1]
     p_GEnds[:, 2, :, 1] = half

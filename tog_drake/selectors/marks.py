@@ -2,10 +2,11 @@
 
 Two renderings. ``paper`` is the one published: the whole image at its own size, candidates told
 apart by colour alone. ``marked`` shows the part of the image where the things are, enlarged, and
-puts a numbered disc in the candidate's colour beside each candidate (see ``disc_placement``).
+puts a numbered disc in the candidate's colour beside each candidate (see ``discs``).
 
-A hand is drawn as in all pictures here (``drawing.hand_wireframe``): its fingers lie where they
-touch, so that the U holds just what the grasp would hold.
+Hands are drawn as in all pictures here (see ``drawing``): closed, so that the U holds just what the
+grasp would hold. Marks that would hide others let them be seen: a finger beneath another hand is
+drawn on top once more as dashes, a dot beneath another is larger.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tog_drake.drawing import (
-    OUTLINE_COLOR,
     Image,
     draw_dot,
     draw_outlined,
@@ -25,14 +25,13 @@ from tog_drake.drawing import (
     project_segments,
 )
 from tog_drake.pinhole import project
-from tog_drake.selectors.disc_placement import place_discs
+from tog_drake.selectors.discs import Color, draw_disc, draw_leaders, place_discs
 from tog_drake.values import Array, Grasps, View
 
 Rendering = Literal["marked", "paper"]
-Color = tuple[int, int, int]
 
 TILE = 224  # [pixel] the sides of a ``marked`` picture are whole multiples of it
-CANVASES = ((4, 3), (3, 4), (5, 3), (3, 5), (6, 3), (3, 6))
+CANVASES = ((3, 3), (4, 3), (3, 4), (5, 3), (3, 5), (6, 3), (3, 6))
 """Width and height of a ``marked`` picture in tiles.
 
 Multiples of 224 are multiples of the patches of all models known (28 and 32 pixels); with a short
@@ -45,10 +44,8 @@ PADDING = 0.06  # of the things' extent, at each side
 BESIDE = (128, 128, 128)  # where the picture reaches beyond the view
 
 LINE = 2.0  # [pixel] thickness of a hand's lines in a picture of 640×480; it grows with the picture
-DOT = 7.0  # [pixel] radius of a contact's dot in the same
-DISC = 18  # [pixel] radius of a disc in a ``marked`` picture, rings included
-LEADER = 1.5  # [pixel] thickness of the line from a disc to what it names
-TEXT = 0.8  # height of a disc's number in units of cv2, where it fits
+DOT = 8.0  # [pixel] radius of a contact's dot in the same
+BENEATH = 2.4  # how much larger a dot is drawn for each that lies on it
 
 
 @dataclass(frozen=True)
@@ -94,14 +91,16 @@ def whole_image(view: View) -> Framing:
 def frame_things(view: View, p_W: Array, grasps: Grasps) -> Framing:
     """Frames the things and the hands that would grasp them: what ``marked`` shows.
 
-    What lies beside the image does not count. The canvas is the one that the rest fills best.
+    Stems may be cut off, and what lies beside the image does not count. The canvas is the one that
+    the rest fills best.
 
     Args:
         p_W: (N, 3) [m] the cloud.
         grasps: whatever may be drawn.
     """
     things = project(p_W, view.intrinsics, view.X_WC)
-    hands = project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view).reshape(-1, 2)
+    fingers_and_palm = hand_wireframe(grasps)[:, :3].reshape(-1, 2, 3)
+    hands = project_segments(fingers_and_palm, view).reshape(-1, 2)
     contacts = project(grasps.p_WContact, view.intrinsics, view.X_WC)
     size = np.array([view.intrinsics.width, view.intrinsics.height])
     shown = np.clip(np.vstack([things, hands, contacts]), -0.5, size - 0.5)
@@ -167,21 +166,28 @@ def draw_grippers(
     Raises:
         InputError: there is no room for so many discs.
     """
-    hands = framing.from_view(
-        project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
-    ).reshape(-1, 4, 2, 2)
+    segments = project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
+    hands = framing.from_view(segments).reshape(-1, 4, 2, 2)
     image = plain(view, framing)
     thickness = LINE * mark_scale(*framing.size)
-    discs = None
+    centers = np.zeros((0, 2))
     if rendering == "marked":
-        stem = hands[:, 3, :1] + np.linspace(1, 0, 9)[:, None] * np.diff(hands[:, 3], axis=1)
-        discs = _Discs.placed(framing, stem, hands[:, [0, 2]], hands[:, [1, 3]])
-        discs.draw_leaders(image, marks)
+        centers, named = place_discs(
+            framing.size,
+            _unmistakable(hands, framing.size, apart=4 * thickness),
+            lines=hands[:, :3].reshape(-1, 2, 2),
+            stems=hands[:, 3],
+            things=framing.from_view(framing.things),
+            thickness=2 * thickness,
+        )
+        draw_leaders(image, centers, named, [mark.color for mark in marks])
     distance = np.linalg.norm(grasps.X_WG[:, :3, 3] - view.X_WC[:3, 3], axis=1)
-    for i in np.argsort(-distance, kind="stable"):
+    order = np.argsort(-distance, kind="stable")
+    for i in order:
         draw_outlined(image, hands[i], marks[i].color, thickness)
-    if discs is not None:
-        discs.draw(image, marks)
+    _draw_hidden(image, hands[order], [marks[i] for i in order], thickness)
+    for center, mark in zip(centers, marks, strict=False):
+        draw_disc(image, center, mark.label, mark.color)
     return image
 
 
@@ -191,79 +197,79 @@ def draw_contacts(
     """Draws the contact points of grasps as dots; the arguments are those of ``draw_grippers``."""
     contacts = framing.from_view(project(grasps.p_WContact, view.intrinsics, view.X_WC))
     image = plain(view, framing)
-    discs = None
+    least = DOT * mark_scale(*framing.size)
+    apart = np.linalg.norm(contacts[:, None] - contacts, axis=2)
+    above = np.count_nonzero(np.tril(apart < least, -1), axis=1)  # dots that lie on each
+    radius = least * BENEATH**above
+    centers = np.zeros((0, 2))
     if rendering == "marked":
-        dots = np.repeat(contacts[:, None, None], 2, axis=2)
-        discs = _Discs.placed(framing, contacts[:, None], dots, np.zeros((0, 2, 2)))
-        discs.draw_leaders(image, marks)
-    for contact, mark in zip(contacts[::-1], marks[::-1], strict=True):
-        draw_dot(image, contact, mark.color, DOT * mark_scale(*framing.size))
-    if discs is not None:
-        discs.draw(image, marks)
+        centers, named = place_discs(
+            framing.size,
+            contacts[:, None],
+            lines=np.repeat(contacts[:, None], 2, axis=1),
+            stems=None,
+            things=framing.from_view(framing.things),
+            thickness=2 * float(radius.max(initial=0.0)),
+        )
+        draw_leaders(image, centers, named, [mark.color for mark in marks])
+    for i in range(len(grasps))[::-1]:
+        draw_dot(image, contacts[i], marks[i].color, radius[i])
+    for center, mark in zip(centers, marks, strict=False):
+        draw_disc(image, center, mark.label, mark.color)
     return image
 
 
-@dataclass(frozen=True)
-class _Discs:
-    """The numbered discs of a picture."""
+def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:
+    """Returns the points of each hand that its disc may name, (N, A, 2), the best first.
 
-    center: Array  # (N, 2) [pixel]
-    named: Array  # (N, 2) [pixel] the point that each leader line leads to
-
-    @staticmethod
-    def placed(framing: Framing, anchors: Array, strokes: Array, outlines: Array) -> "_Discs":
-        center, named = place_discs(
-            framing.size,
-            DISC,
-            anchors,
-            strokes=strokes.reshape(-1, 2, 2),
-            outlines=outlines.reshape(-1, 2, 2),
-            things=framing.from_view(framing.things),
-            thickness=DOT * mark_scale(*framing.size),
-        )
-        return _Discs(center, named)
-
-    def draw_leaders(self, image: Image, marks: Sequence[Mark]) -> None:
-        for center, named, mark in zip(self.center, self.named, marks, strict=True):
-            draw_outlined(image, np.stack([center, named])[None], mark.color, LEADER)
-
-    def draw(self, image: Image, marks: Sequence[Mark]) -> None:
-        for center, mark in zip(self.center, marks, strict=True):
-            _draw_disc(image, center, mark)
-
-
-def _draw_disc(image: Image, center: Array, mark: Mark) -> None:
-    """Draws one disc: dark ring, white ring, the colour, and on it the label."""
-    import cv2
-
-    u, v = np.rint(center).astype(int).tolist()
-    for inset, ink in ((0, OUTLINE_COLOR), (2, (255, 255, 255)), (4, mark.color)):
-        cv2.circle(image, (u, v), DISC - inset, ink, cv2.FILLED, cv2.LINE_AA)
-    room = 2 * (DISC - 4) - 6  # [pixel] the width of the text
-    scale = TEXT
-    (width, height), _ = cv2.getTextSize(mark.label, cv2.FONT_HERSHEY_DUPLEX, scale, 1)
-    if width > room:
-        scale *= room / width
-        (width, height), _ = cv2.getTextSize(mark.label, cv2.FONT_HERSHEY_DUPLEX, scale, 1)
-    origin = (round(u - width / 2), round(v + height / 2))
-    ink = text_color(mark.color)
-    cv2.putText(image, mark.label, origin, cv2.FONT_HERSHEY_DUPLEX, scale, ink, 1, cv2.LINE_AA)
+    They lie on the stem, from its end on, and then on the palm. Those nearer than ``apart`` [pixel]
+    to another hand are NaN if there are others in the picture: a leader there could mean either.
+    """
+    points = np.concatenate(
+        [
+            hands[:, segment, :1] + share[:, None] * np.diff(hands[:, segment], axis=1)
+            for segment, share in (
+                (3, np.linspace(1.0, 0.1, 8)),
+                (1, np.array([0.25, 0.75, 0.1, 0.9])),
+            )
+        ],
+        axis=1,
+    )
+    start, way = hands[:, :, 0], hands[:, :, 1] - hands[:, :, 0]  # (N, 4, 2)
+    to_point = points[:, :, None, None] - start  # (N, A, N, 4, 2)
+    length = np.maximum(np.sum(way**2, axis=-1), 1e-9)
+    share = np.clip(np.sum(to_point * way, axis=-1) / length, 0.0, 1.0)
+    distance = np.linalg.norm(to_point - share[..., None] * way, axis=-1).min(axis=3)  # (N, A, N)
+    near_another = ((distance < apart) & ~np.eye(len(hands), dtype=bool)[:, None]).any(axis=2)
+    inside = np.all((points >= 0) & (points <= np.array(size) - 1), axis=2)
+    clear = inside & ~near_another
+    points[~np.where(clear.any(axis=1, keepdims=True), clear, inside)] = np.nan
+    return points
 
 
-def text_color(ground: Color) -> Color:
-    """Returns black or white, whichever is better read on ``ground``."""
-    black, white = (0, 0, 0), (255, 255, 255)
-    return max((black, white), key=lambda ink: contrast(ink, ground))
+def _draw_hidden(image: Image, hands: Array, marks: Sequence[Mark], thickness: float) -> None:
+    """Draws the fingers of hands (N, 4, 2, 2) that others hide once more, as dashes."""
+    hidden = [
+        ([hand[f] for f in (0, 2) if _is_hidden(image, hand[f], mark)], mark.color)
+        for hand, mark in zip(hands, marks, strict=True)
+    ]
+    for n, (fingers, color) in enumerate(pair for pair in hidden if pair[0]):
+        for finger in fingers:
+            draw_outlined(image, _dashes(finger, thickness, n), color, thickness)
 
 
-def contrast(a: Color, b: Color) -> float:
-    """Returns the contrast ratio of two colours, from 1 to 21 (WCAG 2.2, 1.4.3)."""
-    brighter, darker = sorted((_luminance(a), _luminance(b)), reverse=True)
-    return (brighter + 0.05) / (darker + 0.05)
+def _is_hidden(image: Image, line: Array, mark: Mark) -> bool:
+    """Tells whether less than half of a line (2, 2) that was drawn is still to be seen."""
+    points = np.rint(line[0] + np.linspace(0.0, 1.0, 40)[:, None] * (line[1] - line[0]))
+    inside = np.all((points >= 0) & (points < image.shape[1::-1]), axis=1)  # False where NaN
+    u, v = points[inside].astype(int).T
+    seen = np.abs(image[v, u].astype(int) - mark.color).max(axis=1) < 16
+    return bool(inside.any() and seen.mean() < 0.5)
 
 
-def _luminance(color: Color) -> float:
-    """The relative luminance of an sRGB colour, from 0 to 1 (WCAG 2.2)."""
-    c = np.array(color) / 255
-    linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])
+def _dashes(line: Array, thickness: float, n: int) -> Array:
+    """Cuts a line (2, 2) into dashes (D, 2, 2); those of an odd ``n`` lie between the others."""
+    count = max(1, round(float(np.linalg.norm(line[1] - line[0])) / (14 * thickness)))
+    start = 0.1 + 0.5 * (n % 2)
+    ends = (np.arange(count)[:, None] + [start, start + 0.18]) / count  # (D, 2), from 0 to 1
+    return np.asarray(line[0] + ends[..., None] * (line[1] - line[0]))
