@@ -90,8 +90,11 @@ PASSING = {
     "a reset": vlm_server.reset,
     "no HTTP": vlm_server.not_http,
 }
+UNREACHABLE = ("status 429", "status 500", "status 502 in HTML", "status 529", "a reset", "no HTTP")
 LASTING = {
-    **{f"always {name}": (m, {"unreachable", "truncated"}) for name, m in PASSING.items()},
+    **{f"always {name}": (PASSING[name], {"unreachable"}) for name in UNREACHABLE},
+    "always a cut connection": (vlm_server.cut, {"truncated"}),
+    "always a cut connection, chunked": (vlm_server.cut_chunked, {"truncated"}),
     "a hang": (vlm_server.hang, {"timed_out"}),
     "a trickle": (vlm_server.trickle, {"timed_out"}),
     "a trickle of headers": (vlm_server.trickle_headers, {"timed_out"}),
@@ -130,12 +133,26 @@ def test_what_passes_is_survived(server, provider, mishap):
 @pytest.mark.parametrize(("mishap", "expected"), LASTING.values(), ids=LASTING)
 def test_what_lasts_ends_in_a_typed_status_within_the_deadline(server, provider, mishap, expected):
     server.misbehave(mishap, always=True)
+    seconds = 0.3 if expected == {"timed_out"} else 5.0
     started = time.monotonic()
-    error = caught(server, provider, seconds=0.3)
-    assert time.monotonic() - started < 0.7
+    error = caught(server, provider, seconds)
+    assert time.monotonic() - started < seconds + 0.7
     assert error.status in expected
     assert str(error).isprintable()
     assert len(str(error)) < 500
+
+
+def test_after_the_deadline_nothing_is_asked(server):
+    assert caught(server, "openai", seconds=-1.0).status == "timed_out"
+    assert server.received == []
+
+
+def test_what_lies_behind_an_error_of_openrouter_is_read_too(server):
+    raw = json.dumps({"error": "response_format is not supported"})
+    error = {"message": "Provider returned error", "code": 400, "metadata": {"raw": raw}}
+    server.misbehave(status(400, body=json.dumps({"error": error}).encode()))
+    assert ask(server, "openai").reply.text == ANSWER
+    assert "response_format" not in server.received[1].body
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
@@ -173,20 +190,20 @@ def test_a_redirect_is_not_followed(server, provider):
 def test_a_server_is_left_alone_for_as_long_as_it_asks(server, headers):
     server.misbehave(status(429, headers))
     asked = ask(server, "openai")
-    assert 0.12 <= asked.seconds < 1.0
+    assert 0.12 <= asked.seconds < 3.0
 
 
 def test_gemini_says_in_the_body_how_long_to_wait(server):
     detail = b'{"@type": "type.googleapis.com/google.rpc.RetryInfo", "retryDelay": "0.12s"}'
     server.misbehave(status(429, body=b'[{"error": {"code": 429, "details": [7, %b]}}]' % detail))
-    assert 0.12 <= ask(server, "gemini").seconds < 1.0
+    assert 0.12 <= ask(server, "gemini").seconds < 3.0
 
 
 def test_a_date_to_wait_for_beyond_the_deadline_ends_the_question_at_once(server):
     server.misbehave(status(503, {"Retry-After": formatdate(time.time() + 100, usegmt=True)}))
     started = time.monotonic()
-    error = caught(server, "openai", seconds=3.0)
-    assert time.monotonic() - started < 1.0
+    error = caught(server, "openai", seconds=5.0)
+    assert time.monotonic() - started < 3.0
     assert error.status == "timed_out"
     assert "next attempt" in str(error)
     assert len(server.received) == 1
@@ -194,7 +211,7 @@ def test_a_date_to_wait_for_beyond_the_deadline_ends_the_question_at_once(server
 
 def test_a_date_that_has_passed_is_no_wait(server):
     server.misbehave(status(503, {"Retry-After": formatdate(time.time() - 100, usegmt=True)}))
-    assert ask(server, "openai").seconds < 1.0
+    assert ask(server, "openai").seconds < 3.0
 
 
 def test_the_delays_double_and_attempts_end(server, monkeypatch):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from tog_drake.selectors.vlm.bodies import at, count_at, spare, text_at, token_counts
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
 from tog_drake.selectors.vlm.keys import require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
@@ -76,13 +76,13 @@ class Anthropic:
         return Reply(
             text="".join(text_at(b, "text") for b in content if at(b, "type") == "text"),
             finish=finish,
-            model=text_at(body, "model") or None,
+            model=short_at(body, "model") or None,
             tokens=token_counts(
                 count_at(body, "usage", "input_tokens"),
                 count_at(body, "usage", "output_tokens"),
                 count_at(body, "usage", "output_tokens_details", "thinking_tokens"),
             ),
-            refusal=text_at(body, "stop_details", "explanation") if finish == "refusal" else "",
+            refusal=short_at(body, "stop_details", "explanation"),
         )
 
 

@@ -13,6 +13,8 @@ _NOT_TAKEN = re.compile(
 )
 """How servers say that they do not take a parameter, rather than that something else is wrong."""
 
+MOST_TOKENS = 10**9  # a count from there on is nonsense
+
 Path = tuple[str, ...]
 
 
@@ -34,10 +36,15 @@ def text_at(value: Any, *path: str | int) -> str:
     return found if isinstance(found, str) else ""
 
 
+def short_at(value: Any, *path: str | int) -> str:
+    """The same for a name or a reason: no more than 500 characters of it."""
+    return text_at(value, *path)[:500]
+
+
 def count_at(value: Any, *path: str | int) -> int | None:
-    """The same where only a whole number from 0 makes sense; None for anything else."""
+    """The same where only a number of tokens makes sense; None for anything else."""
     found = at(value, *path)
-    return found if isinstance(found, int) and not isinstance(found, bool) and found >= 0 else None
+    return found if type(found) is int and 0 <= found < MOST_TOKENS else None
 
 
 def token_counts(

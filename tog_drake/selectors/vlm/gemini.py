@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote, urlsplit
 
-from tog_drake.selectors.vlm.bodies import at, count_at, spare, text_at, token_counts
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
 from tog_drake.selectors.vlm.keys import require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
@@ -76,7 +76,7 @@ class Gemini:
 
     def read(self, body: Any) -> Reply:
         candidate = at(body, "candidates", 0)
-        blocked = text_at(body, "promptFeedback", "blockReason")
+        blocked = short_at(body, "promptFeedback", "blockReason")
         reason = text_at(candidate, "finishReason")
         if not isinstance(candidate, dict) and not blocked:
             raise Unanswered("unreachable", "the server's answer holds no candidates[0]")
@@ -93,13 +93,13 @@ class Gemini:
         return Reply(
             text="".join(text_at(part, "text") for part in said),
             finish=finish,
-            model=text_at(body, "modelVersion") or None,
+            model=short_at(body, "modelVersion") or None,
             tokens=token_counts(
                 count_at(body, "usageMetadata", "promptTokenCount"),
                 sum(known) if known else None,
                 thought,
             ),
-            refusal=(blocked or text_at(candidate, "finishMessage") or reason)
+            refusal=(blocked or short_at(candidate, "finishMessage") or reason)
             if finish == "refusal"
             else "",
         )

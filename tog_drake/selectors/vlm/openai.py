@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from tog_drake.selectors.vlm.bodies import at, count_at, spare, text_at, token_counts
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
 from tog_drake.selectors.vlm.keys import quoted, read_key, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
@@ -87,12 +87,12 @@ class OpenAi:
             raise Unanswered("unreachable", f"the server answers with an error: {quoted(said)}")
         if not isinstance(at(choice, "message"), dict):
             raise Unanswered("unreachable", "the server's answer holds no choices[0].message")
-        refusal = text_at(choice, "message", "refusal")
+        refusal = short_at(choice, "message", "refusal")
         finish = text_at(choice, "finish_reason")
         return Reply(
             text=without_thoughts(_content(at(choice, "message", "content"))),
             finish="refusal" if refusal else _FINISH.get(finish, "stop"),
-            model=text_at(body, "model") or None,
+            model=short_at(body, "model") or None,
             tokens=token_counts(
                 count_at(body, "usage", "prompt_tokens"),
                 count_at(body, "usage", "completion_tokens"),

@@ -1,7 +1,6 @@
 """Models in one line, as the command takes them: ``PROVIDER:MODEL`` or ``PROVIDER:MODEL@URL``."""
 
 import re
-from urllib.parse import urlsplit
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.anthropic import Anthropic
@@ -23,6 +22,9 @@ VALID = (
 )
 # A model's name may hold colons (qwen2.5vl:7b) and at-signs; a URL begins with its scheme.
 _FORM = re.compile(r"([a-z]+):((?!@)[^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
+
+# No user, password or query, and nothing that two readers of URLs could take for two hosts.
+_URL = re.compile(r"https?://([\w.-]+|\[[0-9a-fA-F:.]+\])(:[0-9]{1,5})?(/[\w.~%:+/-]*)?", re.ASCII)
 
 
 def read_specification(text: str, profile: str | None = None) -> ModelConfig:
@@ -52,18 +54,12 @@ def check_model(config: ModelConfig) -> None:
     """Raises InputError for a model that cannot be asked, whatever its server is."""
     if not config.model:
         raise InputError(f"no model is named; valid: {VALID}")
-    try:
-        url = urlsplit(config.base_url)
-        usable = url.scheme in ("http", "https") and bool(url.hostname) and url.port != 0
-    except ValueError:
-        usable = False
-    if not usable:
-        raise InputError("base_url is no URL; valid: one such as http://localhost:8000/v1")
-    if url.username is not None or url.password is not None or url.query or url.fragment:
-        # Not shown: what is here may be a password, and URLs end up in records.
+    if not _URL.fullmatch(config.base_url):
+        # Not shown: it may hold a password, and messages end up in records.
         raise InputError(
-            f"base_url of {config.model} holds more than host and path; keys go into the "
-            f"environment variable {config.key_variable}"
+            f"base_url of {config.model} is no URL of scheme, host and path alone; valid: one such "
+            f"as http://localhost:8000/v1. A key goes into the environment variable "
+            f"{config.key_variable}"
         )
     if isinstance(config, Molmo | Qwen) and config.profile is None:
         family = type(config).__name__

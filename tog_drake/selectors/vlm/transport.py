@@ -173,7 +173,10 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
         body = None
     if code == 200:
         if body is None:
-            message = f"{_host(url)} answers with something else than JSON: {quoted(text, secrets)}"
+            said = quoted(text, secrets)
+            message = (
+                f"{_host(url)} answers with something else than JSON: {said}; is its URL right?"
+            )
             raise Unanswered("unreachable", message)
         return body
     complaint = _complaint(body, text)
@@ -197,12 +200,12 @@ def _complaint(body: Any, text: str) -> str:
     """Finds what is wrong in the error of any server; the parameter's name comes first."""
     body = at(body, 0) or body
     error = at(body, "error")
-    name = text_at(error, "param") or text_at(body, "param")
-    for said in (at(error, "message"), error, at(body, "message"), at(body, "detail")):
-        if isinstance(said, str) and said:
-            return f"{name}: {said}" if name else said
-    # Tags say little.
-    return re.sub(r"<[^<>]{0,1000}>", " ", text[:20_000])
+    for where in (error, body):
+        message = text_at(where, "message") or (where if isinstance(where, str) else "")
+        cause = text_at(where, "metadata", "raw")  # OpenRouter's, of the provider behind it
+        if message:
+            return ": ".join(filter(None, (text_at(where, "param"), message, cause)))
+    return re.sub(r"<[^<>]{0,1000}>", " ", text[:20_000])  # of a page: tags say little
 
 
 def _asked_delay(response: "Response", body: Any) -> float | None:
