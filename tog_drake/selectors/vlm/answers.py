@@ -32,9 +32,7 @@ def instruction(profile: Profile, expects: Options | Points) -> str:
         )
     width, height = seen_size(profile.resize, expects.size)
     sentence = profile.prompt.replace("{width}", str(width)).replace("{height}", str(height))
-    named = ", ".join(f'"{role}"' for role in expects.roles)
-    each = f"Return exactly one point for each of these labels: {named}."
-    return f"{sentence} {_how_written(profile, expects.roles)} {each}"
+    return " ".join(filter(None, (sentence, *_how_written(profile, expects.roles))))
 
 
 def schema(profile: Profile, expects: Options | Points) -> dict[str, Any] | None:
@@ -94,26 +92,32 @@ def _object(properties: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _how_written(profile: Profile, roles: tuple[str, ...]) -> str:
+def _how_written(profile: Profile, roles: tuple[str, ...]) -> tuple[str, str]:
+    """Returns the sentences about the format of an answer and about how many points are in it."""
     role = roles[0]
+    if len(roles) == 1:
+        each = f'Return exactly one point and label it "{role}".'
+    else:
+        named = ", ".join(f'"{name}"' for name in roles)
+        each = f"Return exactly one point for each of these labels: {named}."
     match profile.formats[0]:
         case "json":
             pair = "y, x" if profile.order == "yx" else "x, y"
             point = '"x": x, "y": y' if profile.key == "x, y" else f'"{profile.key}": [{pair}]'
             points = f'[{{{point}, "label": "{role}"}}]'
             if profile.structured:
-                reasoned = f'{{"reasoning": "<one or two sentences>", "points": {points}}}'
-                return f"The answer should follow the JSON format: {reasoned}."
-            return f"The answer should follow the JSON format: {points}."
+                points = f'{{"reasoning": "<one or two sentences>", "points": {points}}}'
+            return f"The answer should follow the JSON format: {points}.", each
         case "boxes":
             form = f"<ref>{role}</ref><box>[[x1, y1, x2, y2]]</box>"
-            return f"Give a small box around the point, in the form {form}."
+            return f"Give a small box around the point, in the form {form}.", each
         case "tuples" if len(roles) == 1:
-            return "Your answer should be formatted as a list of one tuple, i.e. [(x, y)]."
+            form = "Your answer should be formatted as a list of one tuple, i.e. [(x, y)]."
+            return form, "Return exactly one point."
         case "tuples":
-            return f'Give a line for each, formatted as "{role}: [(x, y)]".'
+            return f'Give a line for each, formatted as "{role}: [(x, y)]".', each
         case _:
-            return f"Label the point {role}." if len(roles) == 1 else "Label the points."
+            return "", each  # tags and coords: Molmo writes them unasked
 
 
 # What is left out, and what is none

@@ -7,7 +7,8 @@ refused, not rescaled.
 Pixels are those of ``pinhole``: centres at whole numbers, the image of width w from −0.5 to
 w − 0.5. A family that tells a share r of the width means the image from edge to edge:
 u = r · w − 0.5. One that tells pixels names their centres, in the image that the model sees; where
-its server resizes, edges stay edges: u = (x + 0.5) · w / w_seen − 0.5.
+its server resizes, edges stay edges: u = (x + 0.5) · w / w_seen − 0.5. (Claude's documentation
+counts from the corner of the image instead, half a pixel that no model resolves.)
 """
 
 import math
