@@ -112,7 +112,12 @@ def _how_written(profile: Profile, roles: tuple[str, ...]) -> tuple[str, str]:
             form = f"<ref>{role}</ref><box>[[x1, y1, x2, y2]]</box>"
             return f"Give a small box around the point, in the form {form}.", each
         case "tuples" if len(roles) == 1:
-            form = "Your answer should be formatted as a list of one tuple, i.e. [(x, y)]."
+            form = (
+                "Your answer should be formatted as a list of tuples, i.e. [(x1, y1)], where each "
+            )
+            form += (
+                "tuple contains the x and y coordinates of a point satisfying the conditions above."
+            )
             return form, "Return exactly one point."
         case "tuples":
             return f'Give a line for each, formatted as "{role}: [(x, y)]".', each
