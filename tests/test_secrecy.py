@@ -5,9 +5,15 @@ import traceback
 
 import numpy as np
 import pytest
+from command import tog
+from tabletop import TABLE, look
+from test_choose import ABOVE, BLOCK
+from test_choose import _write as write_view
+from test_replay import select
 from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, VlmServer, echo_key
 
 from tog_drake.errors import InputError
+from tog_drake.report import EpisodeReport, report_html
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.question import Message, Unanswered
@@ -70,3 +76,31 @@ def test_a_key_in_a_url_is_refused_and_not_repeated(url):
     with pytest.raises(InputError) as caught:
         read_specification(f"openai:any@{url.format(KEY)}", "pixels")
     shows_no_key("".join(traceback.format_exception(caught.value)))
+
+
+@pytest.mark.parametrize("answer", [f"{KEY} red {KEY[:12]}", None])
+def test_a_key_is_in_nothing_that_the_command_prints_or_writes(answer, tmp_path):
+    files = write_view(tmp_path / "view", look([TABLE, BLOCK], eye=ABOVE))
+    out, tape = tmp_path / "out", tmp_path / "tape.jsonl"
+    with VlmServer(lambda text, images: answer) as server:
+        if answer is None:
+            server.misbehave(echo_key(401), always=True)
+        done = tog(
+            "choose", *files, "--task", "pick up the box", "--out", out, "--record", tape,
+            "--vlm", server.specification("openai"), "--rendering", "paper", "--debug",
+        )  # fmt: skip
+        assert server.received or answer is None
+    assert done.status == 0, done
+    shows_no_key(done.out + done.err)
+    assert "[key]" in (out / "episode.json").read_text()
+    shows_no_key(all_files(tmp_path))
+
+
+def test_a_key_that_a_model_repeats_is_not_in_the_report():
+    with VlmServer(lambda text, images: f"{KEY}: red") as server:
+        choice = select(url=server.base_url("openai"))
+    (exchange,) = choice.exchanges
+    assert exchange.answer == "[key]: red"
+    shows_no_key(repr(choice))
+    record = {"task": "use it", "choice": {"reason": choice.reason}}
+    shows_no_key(report_html([EpisodeReport(record, exchanges=choice.exchanges)]))

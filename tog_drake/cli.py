@@ -31,6 +31,7 @@ from tog_drake.options import (
     StrategyOption,
     TaskOption,
     VotesOption,
+    names,
     valid,
 )
 from tog_drake.terminal import (
@@ -255,14 +256,14 @@ def evaluate_(
 
     console = console_for(as_json)
     check_folder(out)
-    chosen = _names(selectors)
+    chosen = names(selectors)
     for selector in chosen:
         valid(selector, SELECTORS, "selector")
     cells = make_cells(
-        scenario_names(_names(scenarios)),
+        scenario_names(names(scenarios)),
         chosen,
         range(seeds),
-        tasks=_names(tasks),
+        tasks=names(tasks),
         noise=noise,
         text=scenario_text,
     )
@@ -393,10 +394,6 @@ class _Interrupted(BaseException):
 
 def _interrupt(signum: int, frame: object) -> None:
     raise _Interrupted
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",")]
 
 
 def _scenario_of(object_: str | None) -> str:

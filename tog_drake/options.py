@@ -85,6 +85,7 @@ class SelectorOptions:
     fallback: str | None = None
     record: Path | None = None
     replay: Path | None = None
+    export: Path | None = None  # a cassette: what it has no answer to is to be asked elsewhere
 
     def apply(self, config: "PipelineConfig", *, fallback: str | None = None) -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
@@ -136,6 +137,8 @@ class SelectorOptions:
         if self.record is not None:
             check_file(self.record, "--record")
             config.record, config.replay = str(self.record), None
+        if self.export is not None:
+            config.export, config.record, config.replay = str(self.export), None, None
 
     def _apply_model(self, config: "Vlm") -> Path | None:
         """Puts in place who is asked; returns the cassette to replay, if one is named."""
@@ -154,6 +157,11 @@ class SelectorOptions:
                 raise InputError("--profile says how a model tells places; valid: with --vlm MODEL")
             config.model.profile = self.profile
         return self.replay
+
+
+def names(text: str) -> list[str]:
+    """Returns the names in a comma-separated list."""
+    return [name.strip() for name in text.split(",")]
 
 
 def valid(given: str, known: Mapping[str, T], what: str) -> T:

@@ -1,11 +1,34 @@
 """The commands about vision-language models: ``tog prompts`` and ``tog vlm ...``."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tog_drake.options import MODEL_HELP, JsonOption, ProfileOption, RenderingOption, valid
+from tog_drake.errors import InputError
+from tog_drake.files import check_file, check_folder
+from tog_drake.options import (
+    MODEL_HELP,
+    JsonOption,
+    ModelOption,
+    NoiseOption,
+    ProfileOption,
+    RenderingOption,
+    ScenarioOption,
+    ScenarioText,
+    SeedOption,
+    SelectorOptions,
+    StrategyOption,
+    VotesOption,
+    names,
+    valid,
+)
 from tog_drake.terminal import console_for, print_json, say
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -94,3 +117,125 @@ def check(
         },
     )
     raise typer.Exit(0 if report.well else 1)
+
+
+@app.command(
+    "export",
+    epilog="Example: tog vlm export --vlm gemini:gemini-3.8-flash --cassette mugs.jsonl "
+    "--scenarios Mug,Cup --seeds 5",
+)
+def export(
+    cassette: Annotated[
+        Path, typer.Option(help="File with the answers so far; the questions go there too.")
+    ],
+    vlm: ModelOption = None,
+    task: Annotated[
+        str | None, typer.Option(help="What the robot should do, in one scenario.")
+    ] = None,
+    scenario: ScenarioOption = None,
+    object_: Annotated[
+        str | None, typer.Option("--object", help="Which object the task is about.")
+    ] = None,
+    seed: SeedOption = None,
+    scenarios: Annotated[
+        str | None,
+        typer.Option(help="A suite, as of tog eval: comma-separated, `objects` or `clutter`."),
+    ] = None,
+    tasks: Annotated[str, typer.Option(help="Of a suite: use, handover, part.")] = "use,handover",
+    seeds: Annotated[int, typer.Option(min=1, help="Of a suite: seeds 0 .. N-1.")] = 5,
+    noise: NoiseOption = False,
+    scenario_text: ScenarioText = None,
+    strategy: StrategyOption = None,
+    profile: ProfileOption = None,
+    rendering: RenderingOption = None,
+    votes: VotesOption = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the batch files, the page and the blank answers.")
+    ] = Path("out/vlm-export"),
+    as_json: JsonOption = False,
+) -> None:
+    """Write down the questions of a run or a suite, to be answered elsewhere or by hand.
+
+    Only what the cassette has no answer to. Nothing is sent, and no key is needed.
+    """
+    from tog_drake.evaluation import Cell, make_cells, scenario_names
+    from tog_drake.scenario import load_scenario
+    from tog_drake.vlm_export import export_questions
+
+    console = console_for(as_json)
+    check_folder(out)
+    check_file(cassette, "--cassette")
+    if (task is None) == (scenarios is None):
+        raise InputError("what is to be asked? valid: --task for one scenario, or --scenarios")
+    if scenarios is None:
+        name, told = scenario or "Hammer", (task or "",)
+        seed = load_scenario(name, scenario_text).random_seed if seed is None else seed
+        cells = [Cell(name, object_ or "", "vlm", seed, told, noise, scenario_text)]
+    else:
+        cells = make_cells(
+            scenario_names(names(scenarios)),
+            ["vlm"],
+            range(seeds),
+            tasks=names(tasks),
+            noise=noise,
+            text=scenario_text,
+        )
+    options = SelectorOptions(
+        "vlm", strategy, vlm, profile, rendering, votes, fallback="fail", export=cassette
+    )
+    exported = export_questions(
+        cells, options, cassette=cassette, out=out, workers=workers, console=console
+    )
+    _say_exported(console, exported, cassette, out)
+    content = {**vars(exported), "files": [str(file) for file in exported.files]}
+    print_json(as_json, content)
+
+
+def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:
+    for reason in exported.over:
+        say(console, f"no question: {reason}")
+    say(
+        console,
+        f"episodes: {exported.decided} decided, {exported.waiting} waiting for answers, "
+        f"{len(exported.over)} without a question",
+    )
+    if not exported.questions:
+        say(console, f"questions: none pending; go on with --replay {cassette}")
+        return
+    say(console, f"questions: {exported.questions} pending")
+    say(console, f"for a batch API: {', '.join(map(str, exported.files))}; {exported.how}")
+    say(console, f"by hand: look at {out / 'index.html'}, fill in {out / 'answers.jsonl'}")
+    say(console, f"then: tog vlm import ANSWERS --cassette {cassette}, and this command again")
+
+
+@app.command("import", epilog="Example: tog vlm import answers.jsonl --cassette mugs.jsonl")
+def import_(
+    answers: Annotated[
+        Path, typer.Argument(help="Results of a batch, or answers.jsonl filled in by hand.")
+    ],
+    cassette: Annotated[Path, typer.Option(help="File with the questions, from tog vlm export.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Enter answers from elsewhere, as many as there are. Exit 1: some were of no use."""
+    from tog_drake.selectors.vlm.batch_answers import import_answers, read_answers
+    from tog_drake.selectors.vlm.cassette import Cassette
+
+    console = console_for(as_json)
+    if not cassette.is_file():
+        raise InputError(f"there is no cassette {cassette}; tog vlm export writes one")
+    imported = import_answers(Cassette(cassette, "export"), read_answers(answers))
+    for problem in imported.problems:
+        say(console, f"not used: {problem}")
+    say(
+        console,
+        f"answers: {imported.added} added, {imported.known} known already, {imported.empty} left "
+        f"empty, {len(imported.problems)} not used",
+    )
+    say(
+        console,
+        f"questions in {cassette}: {imported.answered} answered, {imported.pending} pending",
+    )
+    say(console, "then: the same tog vlm export again, for what is pending and further questions")
+    print_json(as_json, vars(imported))
+    raise typer.Exit(1 if imported.problems else 0)
