@@ -12,16 +12,9 @@ from tabletop import HAMMER_SIZED, TABLE, look
 from tog_drake.drawing import CANDIDATE_COLORS
 from tog_drake.errors import InputError, NoChoice
 from tog_drake.pinhole import project, unproject
-from tog_drake.selectors.strategies import (
-    KEEP_OFF,
-    MAX_MISS,
-    MAX_REACH,
-    PERMUTABLE,
-    PIVOT_MARKS,
-    ROUNDS,
-    STRATEGIES,
-    Scene,
-)
+from tog_drake.selectors.pointed import KEEP_OFF, MAX_MISS, MAX_REACH
+from tog_drake.selectors.scene import Scene
+from tog_drake.selectors.strategies import PERMUTABLE, PIVOT_MARKS, ROUNDS, STRATEGIES
 from tog_drake.selectors.vlm.question import Options, Points, Unanswered
 from tog_drake.values import Candidates, Grasps
 
@@ -238,7 +231,7 @@ def without_middle(scene):
 def test_where_no_grasp_is_near_marked_says_so_and_paper_takes_the_nearest():
     middle = {"grasp": (0.5, 0.0, HEIGHT)}
     marked, paper = without_middle(bar_scene("marked")), without_middle(bar_scene("paper"))
-    with pytest.raises(NoChoice, match=r"at most 4 cm") as caught:
+    with pytest.raises(NoChoice, match=r"at most 6 cm") as caught:
         STRATEGIES["cpg"](marked, points_at(marked, **middle))
     assert caught.value.status == "no_grasp_on_part"
     far = paper.candidates.grasps.p_WContact[

@@ -18,15 +18,13 @@ The first five are published in arXiv 2502.04873.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tog_drake.drawing import CANDIDATE_COLORS
-from tog_drake.errors import InputError, NoChoice
+from tog_drake.errors import InputError
 from tog_drake.panda import grasps_apart
-from tog_drake.pinhole import project
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import (
     Framing,
@@ -34,21 +32,12 @@ from tog_drake.selectors.marks import (
     Rendering,
     draw_contacts,
     draw_grippers,
-    frame_things,
     plain,
-    whole_image,
 )
-from tog_drake.selectors.vlm.question import Answer, Image, Options, Points, Question, Unanswered
-from tog_drake.values import Array, Candidates, Grasps, View
-
-MAX_MISS = 15.0
-"""[pixel] in a view 640 wide, in proportion in others: a point that misses everything that was
-seen by more is on no object. At half a metre from the camera it is about 1 cm."""
-MAX_REACH = 0.04
-"""[m] A grasp whose contact is farther from the place pointed at does not hold that place. Fingers
-touch the sides of a handle and a model points at its top, which may be half a hand's opening
-away. The paper has no such limit, nor has its rendering."""
-KEEP_OFF = 0.03  # [m] contacts nearer than this to the place to avoid are dropped
+from tog_drake.selectors.pointed import avoid, cpg
+from tog_drake.selectors.scene import Ask, Pick, Scene, Strategy
+from tog_drake.selectors.vlm.question import Image, Options, Question
+from tog_drake.values import Array, Grasps, View
 
 ROUNDS = 3  # of pivot
 PIVOT_MARKS = 6  # in each of them: more crowd an image
@@ -56,35 +45,6 @@ _NARROWING = 4  # each round looks at this fraction of the grasps of the last
 _LEVER = 0.05  # [m/rad] a turn counts as much as moving the finger tips by it
 
 Rows = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a strategy may know."""
-
-    view: View
-    points: Array  # (M, 3) [m] of the cloud, in W
-    candidates: Candidates
-    task: str
-    rendering: Rendering
-    seed: int  # of the order and the colours of the marks
-    permutation: int = 0  # 0 or 1: with 1 every mark has another number and colour than with 0
-
-
-@dataclass(frozen=True)
-class Pick:
-    """The grasp that the answers of a model single out."""
-
-    index: int  # row of ``Candidates.grasps``
-    reason: str  # for a person
-    worth: Array | None = None  # (N,) of each grasp, −∞ where not at all; None: see ``choose``
-    pointed: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Role -> (u, v) in the view, where the model was asked to point."""
-
-
-Ask = Callable[[Question], Answer]
-"""Asks a model and returns its answer; raises Unanswered where there is none."""
-Strategy = Callable[[Scene, Ask], Pick]
 _Draw = Callable[[View, Framing, Grasps, Sequence[Mark], Rendering], Image]
 
 
@@ -108,22 +68,6 @@ def cpmi(scene: Scene, ask: Ask) -> Pick:
     return _pick_marked(scene, ask, "cpmi", draw_contacts, separate=True)
 
 
-def cpg(scene: Scene, ask: Ask) -> Pick:
-    """Contact point guided: the feasible grasp whose contact is nearest to where it points."""
-    pixels, (grasp,) = _seen_points(scene, ask, "cpg", ("grasp",))
-    pick = _nearest(scene, grasp, np.ones(len(scene.candidates.grasps), bool))
-    return replace(pick, pointed=pixels)
-
-
-def avoid(scene: Scene, ask: Ask) -> Pick:
-    """As cpg, without the grasps that are nearer to the place to avoid, or close to it."""
-    pixels, (grasp, avoided) = _seen_points(scene, ask, "avoid", ("grasp", "avoid"))
-    contacts = scene.candidates.grasps.p_WContact
-    away = np.linalg.norm(contacts - avoided, axis=1)
-    allowed = (away > KEEP_OFF) & (away > np.linalg.norm(contacts - grasp, axis=1))
-    return replace(_nearest(scene, grasp, allowed), pointed=pixels)
-
-
 def pivot(scene: Scene, ask: Ask) -> Pick:
     """Rounds of gsi: a sample of all feasible grasps, then of those around the winner."""
     grasps = scene.candidates.grasps
@@ -139,7 +83,8 @@ def pivot(scene: Scene, ask: Ask) -> Pick:
         apart = _apart(grasps, pool, winner)
         pool = pool[np.argsort(apart, kind="stable")[: -(-len(pool) // _NARROWING)]]
     reason = (
-        f"pivot: in round {round_} the model chose {label}, {len(grasps)} feasible grasps at first."
+        f"pivot: of {len(grasps)} feasible grasps the model chose, in round {round_}, the one "
+        f"marked {label}."
     )
     worth = -_apart(grasps, np.arange(len(grasps)), winner)
     return Pick(winner, reason, worth)
@@ -161,7 +106,7 @@ PERMUTABLE = ("gsi", "cpsi", "gmi", "cpmi")
 def _pick_marked(scene: Scene, ask: Ask, name: str, draw: _Draw, *, separate: bool) -> Pick:
     index = scene.candidates.index
     row, label = _ask_marked(scene, ask, index, name, draw, separate=separate)
-    return Pick(row, f"{name}: the model chose {label} of {len(index)} candidates.")
+    return Pick(row, f"{name}: of {len(index)} candidates the model chose the one marked {label}.")
 
 
 def _ask_marked(
@@ -187,7 +132,7 @@ def _ask_marked(
     """
     grasps = scene.candidates.grasps
     rows, marks = _shuffled(scene, rows, separate)
-    framing = _framing(scene, grasps.take(rows))
+    framing = scene.framing(grasps.take(rows))
     reference = [plain(scene.view, framing)] if scene.rendering == "marked" else []
     parts: list[str | Image] = list(reference)
     if separate:
@@ -237,88 +182,6 @@ def _shuffled(scene: Scene, rows: Rows, separate: bool) -> tuple[Rows, list[Mark
         color, rgb = CANDIDATE_COLORS[i]
         marks.append(Mark(label=color if by_color else str(place + 1), color=rgb))
     return rows[order], marks
-
-
-def _framing(scene: Scene, marked: Grasps) -> Framing:
-    """The part of the view that is sent, and at which size."""
-    if scene.rendering == "paper":
-        return whole_image(scene.view)
-    return frame_things(scene.view, scene.points, marked)
-
-
-def _seen_points(
-    scene: Scene, ask: Ask, name: str, roles: tuple[str, ...]
-) -> tuple[dict[str, tuple[float, float]], list[Array]]:
-    """Asks for a point in the picture for each role; returns their pixels in the view by role, and
-    the points in W that are seen there."""
-    framing = _framing(scene, scene.candidates.grasps)
-    prompt = prompts.load(name)
-    answer = ask(
-        Question(
-            prompt=prompt.version,
-            parts=(plain(scene.view, framing), prompt.render(task=scene.task)),
-            expects=Points(roles, framing.size),
-        )
-    )
-    assert isinstance(answer, dict)
-    pixels = {role: framing.to_view(answer[role]) for role in roles}
-    points = [_seen_point(scene, pixel, role) for role, pixel in pixels.items()]
-    return {role: (float(u), float(v)) for role, (u, v) in pixels.items()}, points
-
-
-def _seen_point(scene: Scene, pixel: Array, role: str) -> Array:
-    """Returns the point of the cloud, (3,) in W, that is seen nearest to a pixel (2,) of the view.
-
-    Raises Unanswered where the pixel is outside the view, or on nothing that was seen.
-    """
-    camera = scene.view.intrinsics
-    u, v = pixel
-    where = f"the point to {role}, ({u:.0f}, {v:.0f}) in the view,"
-    if not (-0.5 <= u <= camera.width - 0.5 and -0.5 <= v <= camera.height - 0.5):
-        raise Unanswered(
-            "off_image", f"{where} is outside the view of {camera.width}×{camera.height}"
-        )
-    miss = np.linalg.norm(project(scene.points, camera, scene.view.X_WC) - pixel, axis=1)
-    miss = np.where(np.isfinite(miss), miss, np.inf)
-    nearest = int(np.argmin(miss))
-    limit = MAX_MISS * max(camera.width, camera.height) / 640
-    if miss[nearest] > limit:
-        raise Unanswered(
-            "off_object",
-            f"{where} is on no object: the nearest is {miss[nearest]:.0f} pixels away, and "
-            f"{limit:.0f} would do",
-        )
-    return np.asarray(scene.points[nearest])
-
-
-def _nearest(scene: Scene, point: Array, allowed: NDArray[np.bool_]) -> Pick:
-    """Returns the allowed grasp whose contact is nearest to a point, (3,) in W."""
-    distance = np.linalg.norm(scene.candidates.grasps.p_WContact - point, axis=1)
-    reach = np.inf if scene.rendering == "paper" else MAX_REACH
-    fits = allowed & (distance <= reach)
-    if not fits.any():
-        raise NoChoice(_why_none(distance, allowed), status="no_grasp_on_part")
-    worth = np.where(fits, -distance, -np.inf)
-    index = int(np.argmax(worth))
-    reason = (
-        f"The contact nearest to where the model points, {1e3 * distance[index]:.0f} mm away, "
-        f"of {fits.sum()} grasps there."
-    )
-    return Pick(index, reason, worth)
-
-
-def _why_none(distance: Array, allowed: NDArray[np.bool_]) -> str:
-    if not allowed.any():
-        return (
-            f"All {len(allowed)} feasible grasps are nearer to the place to avoid than to the "
-            f"place to hold, or within {100 * KEEP_OFF:.0f} cm of it."
-        )
-    dropped = f" {(~allowed).sum()} others are at the place to avoid." if not allowed.all() else ""
-    return (
-        f"No feasible grasp holds the place that the model points at: the nearest of "
-        f"{allowed.sum()} contacts is {100 * distance[allowed].min():.1f} cm away, and at most "
-        f"{100 * MAX_REACH:.0f} cm are allowed.{dropped}"
-    )
 
 
 def _spread(grasps: Grasps, pool: Rows, first: int) -> Rows:

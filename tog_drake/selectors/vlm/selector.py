@@ -18,7 +18,8 @@ from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
-from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES, Pick, Scene
+from tog_drake.selectors.scene import Pick, Scene
+from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
 from tog_drake.selectors.vlm.cassette import Cassette, Mode
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
