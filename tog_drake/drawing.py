@@ -163,13 +163,17 @@ def decision_image(
 
 
 def _draw_cross(image: Image, center: Array, *, upright: bool) -> None:
-    """Draws a white cross around (2,) [pixel], which stays free, upright or tilted by 45°."""
+    """Draws a cross around (2,) [pixel], upright or tilted by 45°; a contact's dot fits into it.
+
+    It is black with a white rim: nothing else here is.
+    """
     scale = max(1.0, min(image.shape[1] / 640, image.shape[0] / 480))
     arms = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     if not upright:
         arms = arms @ (np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0))
-    lines = center + scale * arms[:, None, :] * np.array([4.0, 14.0])[:, None]
-    draw_outlined(image, lines, (255, 255, 255), 2.5 * scale)
+    lines = center + scale * arms[:, None, :] * np.array([10.0, 24.0])[:, None]
+    draw_outlined(image, lines, (255, 255, 255), 6.0 * scale)
+    draw_outlined(image, lines, OUTLINE_COLOR, scale)
 
 
 def depth_range(depth: NDArray[np.float32]) -> tuple[float, float] | None:

@@ -129,6 +129,7 @@ def _asked(
     if not exchanges:
         return None
     fallback = vlm.get("fallback")
+    chosen = None if fallback else chosen  # the grasp that the model chose
     first: dict[bytes, str] = {}  # an image that is sent again is shown once
     return {
         "summary": {

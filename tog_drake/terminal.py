@@ -104,9 +104,10 @@ def print_answers(console: Console, record: "EpisodeRecord") -> None:
     for exchange in vlm["exchanges"]:
         answer, status = exchange["answer"], exchange["status"]
         said = "did not answer" if answer is None else f'answered "{_end(answer)}"'
-        trouble = "" if status == "ok" else f" ({status}: {exchange['message'][:LONGEST]})"
+        message = visible(exchange["message"], limit=2 * LONGEST)
+        trouble = "" if status == "ok" else f" ({status}: {message})"
         took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]])
-        name = (exchange["model"] or vlm["model"] or "unnamed")[:LONGEST]
+        name = visible(exchange["model"] or vlm["model"], limit=LONGEST)
         say(console, f"model: {name} {said}{trouble} in {took}")
     if vlm["fallback"]:
         say(console, f"fallback: {vlm['fallback']} chose, because the model's answer was no use")
