@@ -35,8 +35,8 @@ except SystemExit as ended:
 
 @pytest.mark.parametrize(
     "program",
-    ["import tog_drake", _help(), _help("run"), _help("choose")],
-    ids=["import", "help", "run --help", "choose --help"],
+    ["import tog_drake", _help(), *map(_help, ("run", "choose", "prompts")), _help("vlm", "check")],
+    ids=["import", "help", "run --help", "choose --help", "prompts --help", "vlm check --help"],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):
     loaded = _loaded(program)

@@ -7,6 +7,7 @@ from command import refused, tog
 
 from tog_drake.selectors import prompts
 from tog_drake.selectors.prompts import names
+from tog_drake.selectors.vlm.profiles import PROFILES
 
 
 def test_all_prompts_are_listed_with_their_versions():
@@ -33,6 +34,13 @@ def test_labels_are_those_of_the_rendering():
     assert "1, 2, 3" in tog("prompts", "gsi").out
     assert "red, green, blue" in tog("prompts", "gsi", "--rendering", "paper").out
     assert "1, 2, 3" in tog("prompts", "gmi", "--rendering", "paper").out
+
+
+def test_how_to_answer_is_shown_as_the_profile_has_it():
+    assert "[y, x] format normalized to 0-1000" in tog("prompts", "cpg", "--profile", "gemini").out
+    assert '"avoid"' in tog("prompts", "avoid", "--profile", "gemini").out
+    assert "exactly one of: 1, 2, 3" in tog("prompts", "gsi", "--profile", "gemini").out
+    refused(tog("prompts", "gsi", "--profile", "mars"), "'mars'", *PROFILES)
 
 
 def test_an_unknown_prompt_or_rendering_is_said_with_those_there_are():

@@ -45,6 +45,7 @@ _EXAMPLE = {  # what fills the places of a prompt when it is shown
     "answer": "I would take the head.",
 }
 _LABELS = {"marked": ("1", "2", "3"), "paper": ("red", "green", "blue")}
+_ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid")}  # of the points that these ask for
 _SEPARATE = ("gmi", "cpmi")  # an image each: there the labels are numbers in every rendering
 
 
@@ -53,10 +54,16 @@ def prompts(
         str | None, typer.Argument(help="Of the prompt; without it all are listed.")
     ] = None,
     rendering: RenderingOption = "marked",
+    profile: Annotated[
+        str | None, typer.Option(help="Of the model: shows how it is told to answer, too.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """List what models are asked, or show one text with example values as it is sent."""
     from tog_drake.selectors import prompts as texts
+    from tog_drake.selectors.vlm import answers
+    from tog_drake.selectors.vlm.profiles import find_profile
+    from tog_drake.selectors.vlm.question import Options, Points
 
     console = console_for(as_json)
     if name is None:
@@ -70,6 +77,9 @@ def prompts(
     if name in _SEPARATE:
         labels = _LABELS["marked"]
     text = prompt.render(**_EXAMPLE, rendering=rendering, labels=labels)
+    if profile is not None:
+        expects = Points(_ROLES[name], (896, 672)) if name in _ROLES else Options(labels)
+        text += "\n\n" + answers.instruction(find_profile("", profile), expects)
     for line in text.splitlines():
         say(console, line)
     print_json(as_json, {"version": prompt.version, "text": text})
