@@ -103,8 +103,10 @@ LASTING = {
     "broken JSON": (vlm_server.broken_json, {"unreachable"}),
     "an empty body": (vlm_server.verbatim(b""), {"unreachable"}),
     "JSON of another kind": (vlm_server.verbatim(b'["hello", 1e999]'), {"unreachable"}),
-    "NaN": (vlm_server.verbatim(b'{"choices": NaN}'), {"unreachable"}),
-    "JSON nested too deeply": (vlm_server.verbatim(b"[" * 200_000), {"unreachable"}),
+    "NaN": (vlm_server.extra(b"NaN"), {"unreachable"}),
+    "a number beyond all": (vlm_server.extra(b"-1e999"), {"unreachable"}),
+    "JSON nested deeply": (vlm_server.extra(b"[" * 150 + b"]" * 150), {"unreachable"}),
+    "JSON nested too deeply": (vlm_server.extra(b"[" * 200_000), {"unreachable"}),
     "no UTF-8": (vlm_server.verbatim(b'{"a": "\xff\xfe"}'), {"unreachable"}),
     "control characters": (vlm_server.verbatim(b"\x1b[2J\x00\xe2\x80\xae", 404), {"rejected"}),
     "a redirect": (vlm_server.redirect("http://127.0.0.1:9/v1"), {"rejected"}),
@@ -383,3 +385,8 @@ def test_costs_are_known_where_prices_are(server, tmp_path, monkeypatch):
     prices.write_text("hosts: {127.0.0.1: {served-model-1: {input: 2.0, output: 10.0}}}")
     monkeypatch.setenv("TOG_PRICES", str(prices))
     assert ask(server, "openai").cost == pytest.approx((1000 * 2.0 + 50 * 10.0) / 1e6)
+
+
+def test_what_an_answer_holds_besides_does_not_matter(server):
+    server.misbehave(vlm_server.extra(b'[[1.5, -2e3, null, "\\u0000"], 123456789012345678901]'))
+    assert ask(server, "openai").reply.text == ANSWER

@@ -190,6 +190,13 @@ def verbatim(data, code=200):
     return lambda handler, spoken: handler.send(code, data)
 
 
+def extra(value):
+    """A good answer with these bytes as one more value in it."""
+    return lambda handler, spoken: handler.send(
+        200, handler.good(spoken)[:-1] + b', "extra": ' + value + b"}"
+    )
+
+
 def broken_json(handler, spoken):
     handler.send(200, handler.good(spoken)[:-3])
 

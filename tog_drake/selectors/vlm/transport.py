@@ -12,9 +12,8 @@ import threading
 import time
 from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
-from http.client import HTTPException
 from math import isfinite
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, text_at
@@ -111,7 +110,6 @@ def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) 
 
 def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes) -> Any:
     import requests
-    from urllib3.exceptions import HTTPError
 
     left = max(deadline - time.monotonic(), 0.001)
     sent = {**headers, "Content-Type": "application/json", "Accept-Encoding": "identity"}
@@ -132,7 +130,9 @@ def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes)
     except ValueError as error:  # errors of requests among them
         message = f"{_host(url)} cannot be asked ({type(error).__name__}); is its URL right?"
         raise Unanswered("rejected", message) from None
-    except (requests.RequestException, HTTPError, HTTPException, OSError) as error:
+    except (Unanswered, _Again):
+        raise
+    except Exception as error:  # of requests, or of what it stands on and does not always wrap
         message = f"no connection to {_host(url)} ({type(error).__name__}); is it running?"
         raise _Again(Unanswered("unreachable", message)) from None
     return _judge(response, text, url, secrets_in(headers))
@@ -168,7 +168,8 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
         message = f"{_host(url)} redirects (status {code}) to {there}; give the right URL"
         raise Rejected(message, code)
     try:
-        body = _cleaned(json.loads(text, parse_constant=_no_number), secrets)
+        parsed = json.loads(text, parse_float=_finite, parse_constant=_finite)
+        body = _cleaned(parsed, secrets)
     except (ValueError, RecursionError):
         body = None
     if code == 200:
@@ -226,8 +227,12 @@ def _asked_delay(response: "Response", body: Any) -> float | None:
     return None
 
 
-def _no_number(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+def _finite(text: str) -> float:
+    """Reads a number of JSON; NaN and 1e999 could not be written as JSON again."""
+    number = float(text)
+    if not isfinite(number):
+        raise ValueError(f"{text} is no number of JSON")
+    return number
 
 
 def _until(date: str) -> float:
@@ -238,14 +243,19 @@ def _until(date: str) -> float:
         return float("nan")
 
 
-def _cleaned(value: Any, secrets: list[str]) -> Any:
-    """Returns the JSON without keys and without halves of surrogate pairs, which no file takes."""
+def _cleaned(value: Any, secrets: list[str], depth: int = 100) -> Any:
+    """Returns the JSON without keys and without halves of surrogate pairs, which no file takes.
+
+    Raises ValueError where it is nested more than ``depth`` deep.
+    """
+    if depth < 0:
+        raise ValueError("nested too deeply")
     if isinstance(value, str):
         return redact(value.encode("utf-8", "replace").decode(), secrets)
     if isinstance(value, list):
-        return [_cleaned(item, secrets) for item in value]
+        return [_cleaned(item, secrets, depth - 1) for item in value]
     if isinstance(value, dict):
-        return {_cleaned(k, secrets): _cleaned(v, secrets) for k, v in value.items()}
+        return {_cleaned(k, secrets): _cleaned(v, secrets, depth - 1) for k, v in value.items()}
     return value
 
 
