@@ -95,7 +95,7 @@ def test_no_grasp_at_all_is_no_grasp():
         pick_candidates(Grasps.empty(), CandidatesConfig(), seed=0)
 
 
-@pytest.mark.parametrize(("text", "k"), [("{k: auto}", "auto"), ("{k: 4}", 4), ("{}", "auto")])
+@pytest.mark.parametrize(("text", "k"), [("{k: auto}", "auto"), ("{k: 4}", 4), ("{}", 6)])
 def test_k_is_read_from_yaml_as_a_number_or_auto(text, k):
     assert yaml_load_typed(schema=CandidatesConfig, data=text).k == k
 

