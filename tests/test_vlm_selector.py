@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from pydrake.perception import BaseField, Fields, PointCloud
 from test_strategies import bar_scene, to_picture
 from vlm_server import KEY, Spoken, VlmServer, hang, status
@@ -36,13 +38,13 @@ def saying(*texts):
     return VlmServer(lambda text, images: left.pop(0) if len(left) > 1 else left[0])
 
 
-def config(server, **settings):
+def config(server, **changes):
     model = OpenAi(model="any", base_url=server.base_url("openai"), max_tokens=500)
-    return Vlm(**{"strategy": "cpsi", "rendering": "paper", "model": model, **settings})
+    return Vlm(**{"strategy": "cpsi", "rendering": "paper", "model": model, **changes})
 
 
-def select(settings, task=TASK, candidates=SCENE.candidates, seed=3):
-    selector = VlmSelector(settings, Workspace(), seed=seed)
+def select(asking, task=TASK, candidates=SCENE.candidates, seed=3):
+    selector = VlmSelector(asking, Workspace(), seed=seed)
     return selector.select(SCENE.view, cloud_of(SCENE.points), candidates, task)
 
 
@@ -121,6 +123,30 @@ def test_a_refusal_is_respected():
         select(config(server))
     assert len(server.received) == 1
     assert caught.value.status == caught.value.exchanges[0].status == "refused"
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.text(max_size=80) | st.from_regex(r"(red|green|#?[0-9]{1,3}|[{}\[\]:\", ]){1,9}"))
+def test_whatever_a_model_says_a_marked_grasp_is_chosen_or_none(text):
+    with saying(text) as server:
+        try:
+            choice = select(config(server))
+        except NoChoice as error:
+            assert error.status not in (None, "ok")
+            assert error.exchanges[-1].status == error.status
+        else:
+            label = next(k for k, row in choice.exchanges[-1].marks.items() if row == choice.index)
+            assert label in text.lower()
+
+
+@pytest.mark.parametrize("finish", ["refusal", "stop", "length"])
+def test_an_endless_answer_makes_no_endless_reason(finish):
+    with saying(Spoken("x" * 200_000, finish=finish)) as server:
+        choice = select(config(server, fallback="geometric"))
+    assert choice.fallback == "geometric"
+    assert len(choice.reason) < 2000
+    assert all(len(exchange.message) < 1000 for exchange in choice.exchanges)
+    assert all(len(exchange.text) < 5000 for exchange in choice.exchanges)
 
 
 def test_without_a_policy_nothing_is_chosen_in_place_of_an_answer():
@@ -279,7 +305,7 @@ def test_without_a_task_nobody_is_asked():
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("changes", "said"),
     [
         ({"strategy": "gpt"}, r"strategy: 'gpt'; valid: gsi, cpsi, gmi, cpmi, cpg, pivot, avoid"),
         ({"rendering": "photo"}, r"rendering: 'photo'; valid: marked, paper"),
@@ -294,8 +320,8 @@ def test_without_a_task_nobody_is_asked():
         ({"model": OpenAi(model="my-own")}, r"'my-own'.*profile"),
     ],
 )
-def test_what_is_out_of_bounds_is_refused_before_anything_is_asked(settings, said):
-    whole = Vlm(**{"model": OpenAi(model="any", base_url="http://127.0.0.1:9/v1"), **settings})
+def test_what_is_out_of_bounds_is_refused_before_anything_is_asked(changes, said):
+    whole = Vlm(**{"model": OpenAi(model="any", base_url="http://127.0.0.1:9/v1"), **changes})
     with pytest.raises(InputError, match=said):
         make_selector(PipelineConfig(selector=whole), seed=0)
 

@@ -117,7 +117,8 @@ class Dialogue:
 def _read(reply: Reply, profile: Profile, expects: Options | Points) -> Answer:
     """Returns the answer in a reply. One that was cut off is not read: a 1 may be half of a 12."""
     if reply.finish == "refusal":
-        raise Unanswered("refused", f"the model refused: {reply.refusal or reply.text[:_EXCERPT]}")
+        said = (reply.refusal or reply.text)[:_EXCERPT]
+        raise Unanswered("refused", f"the model refused: {said}" if said else "the model refused")
     if reply.finish == "length":
         raise Unanswered("truncated", "the model ran out of tokens before it had answered")
     return answers.read(reply.text, profile, expects)
