@@ -88,7 +88,7 @@ PASSING = {
     "a cut connection": vlm_server.cut,
     "a cut connection, chunked": vlm_server.cut_chunked,
     "a reset": vlm_server.reset,
-    "no HTTP": vlm_server.not_http,
+    "no HTTP": vlm_server.raw(b"SSH-2.0-OpenSSH_9.2\r\n"),
 }
 UNREACHABLE = ("status 429", "status 500", "status 502 in HTML", "status 529", "a reset", "no HTTP")
 LASTING = {
@@ -155,6 +155,38 @@ def test_what_lies_behind_an_error_of_openrouter_is_read_too(server):
     server.misbehave(status(400, body=json.dumps({"error": error}).encode()))
     assert ask(server, "openai").reply.text == ANSWER
     assert "response_format" not in server.received[1].body
+
+
+OK = b"HTTP/1.1 200 OK\r\n"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"HTTP/1.1 99999 What\r\n\r\n",
+        b"HTTP/1.1 101 Switching\r\n\r\n{}",
+        OK + b"Content-Length: -5\r\n\r\n{}",
+        OK + b"Content-Length: many\r\n\r\n{}",
+        OK + b"Content-Length: 2\r\nContent-Length: 3\r\n\r\n{}",
+        OK + b"Content-Length: 99999999999999999999\r\n\r\n{}",
+        OK + b"Transfer-Encoding: chunked\r\n\r\nzz\r\n{}",
+        OK + b"Transfer-Encoding: chunked\r\n\r\n-2\r\n{}",
+        OK + b"Transfer-Encoding: what\r\n\r\n{}",
+        OK + b"Content-Encoding: gzip\r\n\r\n{}",
+        OK + b"Content-Encoding: gzip, gzip, gzip, gzip, gzip, gzip\r\n\r\n{}",
+        OK + b"X: y\r\n" * 200 + b"\r\n{}",
+        OK + b"X: " + b"y" * 100_000 + b"\r\n\r\n{}",
+        OK + b"\xff\xfe: \x00\r\n\r\n{}",
+        b"HTTP/1.1 307 Go\r\nLocation: http://[::1\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 429 Wait\r\nRetry-After: Mon, 99 Foo\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 429 Wait\r\nRetry-After: nan\r\nContent-Length: 0\r\n\r\n",
+        b"HTTP/1.1 429 Wait\r\nRetry-After: -1e9\r\nContent-Length: 0\r\n\r\n",
+    ],
+)
+def test_broken_http_ends_in_a_typed_status(server, data):
+    server.misbehave(vlm_server.raw(data), always=True)
+    assert caught(server, "openai").status in {"unreachable", "truncated", "rejected"}
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)

@@ -176,8 +176,9 @@ def reset(handler, spoken):
     handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
 
 
-def not_http(handler, spoken):
-    handler.wfile.write(b"SSH-2.0-OpenSSH_9.2\r\n")
+def raw(data):
+    """These bytes in place of an answer, the status line included."""
+    return lambda handler, spoken: handler.wfile.write(data)
 
 
 def html(code=200):
