@@ -78,7 +78,7 @@ def to_picture(scene, image, p_W):
     if scene.rendering == "paper":
         framing = whole_image(scene.view)
     else:
-        framing = frame_things(scene.view, scene.points, scene.candidates.grasps)
+        framing = frame_things(scene.view, scene.points, Grasps.empty())
     pixel = project(np.array([p_W]), scene.view.intrinsics, scene.view.X_WC)[0]
     return tuple(framing.from_view(pixel))
 

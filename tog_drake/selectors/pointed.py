@@ -11,7 +11,7 @@ from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import plain
 from tog_drake.selectors.scene import Ask, Pick, Scene
 from tog_drake.selectors.vlm.question import Points, Question, Unanswered
-from tog_drake.values import Array
+from tog_drake.values import Array, Grasps
 
 MAX_MISS = 15.0
 """[pixel] in a view 640 wide, in proportion in others: a point that misses everything that was
@@ -47,7 +47,7 @@ def _seen_points(
 ) -> tuple[dict[str, tuple[float, float]], list[Array]]:
     """Asks for a point in the picture for each role; returns their pixels in the view by role, and
     the points in W that are seen there."""
-    framing = scene.framing(scene.candidates.grasps)
+    framing = scene.framing(Grasps.empty())  # the things alone: nothing is marked
     prompt = prompts.load(name)
     answer = ask(
         Question(
