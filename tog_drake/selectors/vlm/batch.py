@@ -8,7 +8,7 @@ filled in.
 
 import base64
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,12 @@ def custom_id(key: str) -> str:
 
 def batch_entry(request: Request) -> dict[str, Any]:
     """Returns one request of a batch, in the shape that its provider takes."""
-    name, body = custom_id(request.key), request.api.body(request.message, _base64)
+    name, message = custom_id(request.key), request.message
+    if request.api.provider == "gemini":
+        # Batches answer a responseJsonSchema with broken JSON (as of August 2026, see
+        # https://github.com/crmne/ruby_llm/issues/894); the text says how to answer, too.
+        message = replace(message, schema=None)
+    body = request.api.body(message, _base64)
     match request.api.provider:
         case "gemini":  # https://ai.google.dev/gemini-api/docs/batch-api
             return {"key": name, "request": body}

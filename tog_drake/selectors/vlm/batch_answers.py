@@ -4,6 +4,7 @@ A line is a result of a batch API, as its provider writes it, or ``{"custom_id",
 people do.
 """
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -79,9 +80,7 @@ def _given(line: Any, where: str) -> Given:
     if not name:
         raise InputError(f"{where} names no question: custom_id (or key, from Gemini) is missing")
     if "answer" in line:
-        if not isinstance(line["answer"], str):
-            raise InputError(f'{where}: the answer is no text: put it between " and "')
-        return Given(where, name, answer=line["answer"].strip())
+        return Given(where, name, answer=_text(line["answer"]))
     if "result" in line:  # Anthropic
         kind = text_at(line, "result", "type")
         if kind == "succeeded":
@@ -98,6 +97,13 @@ def _given(line: Any, where: str) -> Given:
         f'{where} is no answer; valid: {{"custom_id": ..., "answer": "..."}}, or a line of the '
         "results of OpenAI's, Google's or Anthropic's batches"
     )
+
+
+def _text(answer: Any) -> str:
+    """A person's answer: text, or JSON as it is, which spares the quotation marks in it."""
+    if answer is None:
+        return ""
+    return answer.strip() if isinstance(answer, str) else json.dumps(answer)
 
 
 def _problem(kind: Any, error: Any) -> str:

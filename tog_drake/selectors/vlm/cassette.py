@@ -160,7 +160,8 @@ class Cassette:
             )
         raise NotRecorded(
             f"{self.path} has no answer to {what}: it was not asked with this scene, seed, task, "
-            f"strategy, rendering and model. Ask with --record {self.path} in place of --replay"
+            "strategy, rendering, model, max_tokens and effort. Ask with "
+            f"--record {self.path} in place of --replay"
         )
 
     def _read_on(self) -> None:

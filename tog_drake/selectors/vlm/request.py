@@ -76,11 +76,16 @@ class QuestionPending(EpisodeError):
 
 
 def save_images(folder: Path, request: Request) -> None:
-    """Writes the images of a question into a folder, each once, as ``<hex>.png``."""
+    """Writes the images of a question into a folder, each once, as ``<hex>.png``.
+
+    One that is there but damaged is written anew.
+    """
     for image in request.images:
-        file = folder / f"{pixel_hash(image)}.png"
-        if not file.exists():
-            write_atomically(file, encode_png(image))
+        digest = pixel_hash(image)
+        try:
+            read_image(folder, digest)
+        except InputError:
+            write_atomically(folder / f"{digest}.png", encode_png(image))
 
 
 def read_image(folder: Path, digest: str) -> Image:
