@@ -6,6 +6,9 @@ from collections import namedtuple
 import pytest
 
 from tog_drake import cli, doctor
+from tog_drake.selectors.vlm.anthropic import Anthropic
+from tog_drake.selectors.vlm.gemini import Gemini
+from tog_drake.selectors.vlm.openai import OpenAi
 
 
 @pytest.fixture(scope="module")
@@ -48,16 +51,35 @@ def _not_there(name):
 KEYS = ("OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY")
 
 
-@pytest.mark.parametrize("key", ["sk-planted-0123456789", "\x1b[2Jx"])
-def test_it_says_whether_a_key_is_set_and_nothing_else_of_it(key, monkeypatch):
+def test_it_says_whether_a_key_is_set_and_nothing_else_of_it(monkeypatch):
     for variable in KEYS:
-        monkeypatch.setenv(variable, key)
+        monkeypatch.setenv(variable, "sk-planted-0123456789")
     found = [doctor._check("key", lambda v=v: doctor._key(v)) for v in doctor._KEYS.values()]
     assert [(check.ok, check.found) for check in found] == [
         (True, "set in OPENAI_API_KEY"),
         (True, "set in GOOGLE_API_KEY"),
         (True, "set in ANTHROPIC_API_KEY"),
     ]
+
+
+def test_what_cannot_be_a_key_is_said_without_repeating_it(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", "sk-planted\x1b[2J 0123456789")
+    check = doctor._check("key", lambda: doctor._key(doctor._KEYS["OpenAI"]), required=False)
+    assert not check.ok
+    assert "OPENAI_API_KEY" in check.found
+    assert "planted" not in check.found
+
+
+@pytest.mark.parametrize("provider", [OpenAi, Gemini, Anthropic])
+def test_a_key_is_looked_for_where_the_provider_takes_it_from(provider, monkeypatch):
+    variables = dict(zip((OpenAi, Gemini, Anthropic), doctor._KEYS.values(), strict=True))[provider]
+    config = provider(model="any")
+    for other in KEYS:
+        monkeypatch.delenv(other, raising=False)
+    for variable in reversed(variables):  # each in turn is taken before those after it
+        monkeypatch.setenv(variable, f"key-of-{variable}")
+        assert f"key-of-{variable}" in " ".join(config.headers().values())
+        assert doctor._key(variables) == f"set in {variable}"
 
 
 @pytest.mark.parametrize("key", [None, "", "  "])

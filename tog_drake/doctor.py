@@ -1,7 +1,6 @@
 """Checks whether this machine can run tog_drake, and says how to mend what it cannot."""
 
 import importlib
-import os
 import platform
 import shutil
 import subprocess
@@ -139,7 +138,9 @@ def _extra(module: str, extra: str) -> str:
 
 def _key(variables: Sequence[str]) -> str:
     """Says where the key is set, and nothing of the key itself."""
+    from tog_drake.selectors.vlm.keys import read_key
+
     for variable in variables:
-        if os.environ.get(variable, "").strip():
+        if read_key(variable, "https://"):
             return f"set in {variable}"
     raise _ProblemError(f"set it with: export {variables[-1]}=...")

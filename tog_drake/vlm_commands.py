@@ -114,7 +114,7 @@ def check(
         say(console, f"{mark}  {finding.name}: {finding.found}")
     asked = report.exchanges
     took = usage(sum(e.seconds for e in asked), [e.tokens for e in asked], [e.cost for e in asked])
-    say(console, f"{len(asked)} questions: {took}")
+    say(console, f"questions asked: {len(asked)}; {took}")
     told = ("answer", "status", "message", "model", "seconds", "tokens", "cost")
     print_json(
         as_json,
