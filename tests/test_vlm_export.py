@@ -57,7 +57,7 @@ def test_a_run_goes_on_where_somebody_answered_its_question_by_hand(tmp_path, mo
     line = json.loads((out / "answers.jsonl").read_text())
     sent = json.loads((out / "batch-1.jsonl").read_text())
     assert line["custom_id"] == sent["custom_id"]
-    line["answer"] = '[{"x": 448, "y": 336, "label": "grasp"}]'
+    line["answer"] = '[{"x": 320, "y": 315, "label": "grasp"}]'  # on the handle
     (out / "answers.jsonl").write_text(json.dumps(line))
     refused(tog(*command, "--task", TASK), "holds answers that were not imported", "--out")
     imported = tog("vlm", "import", out / "answers.jsonl", "--cassette", tape)
