@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydrake.perception import BaseField, Fields, PointCloud
-from test_strategies import bar_scene, to_picture
+from test_strategies import bar_scene, to_picture, without_middle
 from vlm_server import KEY, Spoken, VlmServer, hang, status
 
 from tog_drake.errors import InputError, NoChoice, NoGrasp
@@ -269,6 +269,26 @@ def test_a_point_on_no_object_is_noted_with_the_answer_that_told_it():
     (exchange,) = caught.value.exchanges
     assert caught.value.status == exchange.status == "off_object"
     assert "on no object" in exchange.message
+
+
+@pytest.mark.parametrize("fallback", ["fail", "geometric"])
+def test_a_place_that_no_grasp_holds_is_a_status_of_its_own(fallback):
+    scene = without_middle(replace(SCENE, rendering="marked"))
+
+    def answer(text, images):
+        x, y = to_picture(scene, images[0], (0.5, 0.0, 0.03))
+        return f'[{{"x": {x:.0f}, "y": {y:.0f}, "label": "grasp"}}]'
+
+    asking = {"strategy": "cpg", "rendering": "marked", "fallback": fallback}
+    with VlmServer(answer) as server:
+        try:
+            told = select(config(server, **asking), candidates=scene.candidates)
+        except NoChoice as error:
+            told = error
+    assert told.status == "no_grasp_on_part"
+    assert "holds the place that the model points at" in str(getattr(told, "reason", told))
+    assert told.exchanges[0].status == "ok"  # it is not the answer that is wrong
+    assert isinstance(told, NoChoice) == (fallback == "fail")
 
 
 def test_the_same_seed_asks_the_same_question_and_another_one_shuffles_anew():

@@ -112,7 +112,7 @@ class VlmSelector:
             return replace(choice, exchanges=dialogue.exchanges, pointed=pick.pointed)
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
 
-    def _vote(self, scene: Scene, dialogue: "Dialogue") -> Pick:
+    def _vote(self, scene: Scene, dialogue: Dialogue) -> Pick:
         """Returns the pick on which all votes agree."""
         strategy = STRATEGIES[self._config.strategy]
         picks: list[Pick] = []
@@ -140,11 +140,11 @@ class VlmSelector:
         task: str,
     ) -> Choice:
         """Does what the config says where the model's answer is no use."""
-        status = problem.status or "unreadable"
-        message = f"The model's answer cannot be used ({status}): {problem}"
+        status = problem.status
+        assert status is not None  # whatever raises it here says so
+        message = f"The model's answer cannot be used ({status}): {problem}".rstrip(".")
         if self._config.fallback != "geometric":
-            advice = "" if message.endswith((".", "!", "?")) else "."
-            raise NoChoice(message + advice, status=status, exchanges=exchanges) from problem
+            raise NoChoice(f"{message}.", status=status, exchanges=exchanges) from problem
         try:
             choice = self._geometric.select(view, cloud, candidates, task)
         except (NoChoice, NoGrasp) as error:
