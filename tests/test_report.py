@@ -278,6 +278,20 @@ def test_an_image_that_is_asked_about_again_is_carried_once():
     assert "Image 2 224×224, the same as image 2 of question 1" in page.text
 
 
+def test_where_an_answer_points_is_ringed_in_the_image_it_was_asked_of():
+    missed = make_exchange(
+        points={"grasp": (111.5, 55.5), "avoid": (500.0, -3.0)}, status="off_object", message="far"
+    )
+    page = text_of(report_html([EpisodeReport(make_record(vlm=make_vlm()), exchanges=(missed,))]))
+    rings = [a[2] for a in page.attributes if a[:2] == ("span", "style") and "left" in a[2]]
+    assert rings == ["left: 50.00%; top: 25.00%", "left: 100.00%; top: 0.00%"]
+    assert (
+        "Image 2 224×224, ringed: where the model points to grasp and to avoid (dashed)"
+        in page.text
+    )
+    assert "Image 1 224×224 " in page.text
+
+
 @pytest.mark.parametrize("kind", HOSTILE)
 def test_whatever_a_model_says_is_inert_and_short(kind):
     said = HOSTILE[kind]

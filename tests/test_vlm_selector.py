@@ -269,6 +269,7 @@ def test_a_point_on_no_object_is_noted_with_the_answer_that_told_it():
     (exchange,) = caught.value.exchanges
     assert caught.value.status == exchange.status == "off_object"
     assert "on no object" in exchange.message
+    assert exchange.points == {"grasp": (5.0, 5.0)}
 
 
 @pytest.mark.parametrize("fallback", ["fail", "geometric"])

@@ -164,7 +164,10 @@ def _question(
         "number": number,
         "prompt": visible(exchange.prompt, limit=100),
         "status": exchange.status,
-        "images": [_image(image, number, i, first) for i, image in enumerate(exchange.images, 1)],
+        "images": [
+            _image(image, number, i, first, exchange.points if i == len(exchange.images) else {})
+            for i, image in enumerate(exchange.images, 1)
+        ],
         "text": visible(exchange.text, limit=4 * LONGEST, lines=True),
         "answer": None if answer is None else visible(answer, limit=LONGEST, lines=True),
         "facts": {
@@ -181,15 +184,30 @@ def _question(
 
 
 def _image(
-    image: NDArray[np.uint8], number: int, i: int, first: dict[bytes, str]
-) -> dict[str, str | None]:
-    """An image as it was sent, or where it was shown before."""
-    size = f"{image.shape[1]}×{image.shape[0]}"
+    image: NDArray[np.uint8],
+    number: int,
+    i: int,
+    first: dict[bytes, str],
+    points: Mapping[str, tuple[float, float]],
+) -> dict[str, Any]:
+    """An image as it was sent and the points to ring in it, or where it was shown before."""
+    height, width = image.shape[:2]
+    size = f"{width}×{height}"
     content = image.tobytes()
-    if content in first:
-        return {"source": None, "text": f"{size}, the same as {first[content]}"}
+    if content in first and not points:
+        return {"source": None, "text": f"{size}, the same as {first[content]}", "rings": []}
     first[content] = f"image {i} of question {number}"
-    return {"source": _data_url(image, compression=9), "text": size}
+    rings = [
+        (role, *np.clip([100 * (u + 0.5) / width, 100 * (v + 0.5) / height], 0.0, 100.0).tolist())
+        for role, (u, v) in points.items()
+    ]
+    roles = (f"{role} (dashed)" if role == "avoid" else role for role in points)
+    ringed = f", ringed: where the model points to {' and to '.join(roles)}" if points else ""
+    return {
+        "source": _data_url(image, compression=9),
+        "text": visible(size + ringed, limit=LONGEST),
+        "rings": rings,
+    }
 
 
 def _held(shares: Mapping[str, float]) -> str | None:

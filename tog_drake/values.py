@@ -157,6 +157,8 @@ class Exchange:
     seconds: float  # latency, that of the recording where it was replayed
     tokens: dict[str, int] | None  # input, output, reasoning, as far as the server says
     cost: float | None  # [USD]; None where the price is not known
+    points: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Where the answer points, whether or not that was of use: role -> (u, v) in the last image."""
 
 
 @dataclass(frozen=True)

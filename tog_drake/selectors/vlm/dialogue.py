@@ -77,7 +77,7 @@ class Dialogue:
         except Unanswered as error:
             self._note(question, message, asked, error, time.monotonic() - started)
             raise
-        self._note(question, message, asked, None, asked.seconds)
+        self._note(question, message, asked, None, asked.seconds, answer)
         return answer
 
     def _note(
@@ -87,6 +87,7 @@ class Dialogue:
         asked: Asked | None,
         error: Unanswered | None,
         seconds: float,
+        answer: Answer | None = None,
     ) -> None:
         reply = None if asked is None else asked.reply
         text, images = _shown(message.parts)
@@ -104,6 +105,7 @@ class Dialogue:
                 seconds=seconds if asked is None else asked.seconds,
                 tokens=None if reply is None else reply.tokens,
                 cost=None if asked is None else asked.cost,
+                points=answer if isinstance(answer, dict) else {},
             ),
         )
 
