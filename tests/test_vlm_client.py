@@ -243,6 +243,15 @@ def test_a_date_to_wait_for_beyond_the_deadline_ends_the_question_at_once(server
     assert len(server.received) == 1
 
 
+def test_where_there_is_no_time_for_another_attempt_the_first_failure_counts(server, monkeypatch):
+    monkeypatch.setattr(transport, "FIRST_DELAY", 60.0)
+    server.misbehave(status(500), always=True)
+    error = caught(server, "openai")
+    assert error.status == "unreachable"
+    assert "next attempt would be in 8 s" in str(error)  # no delay is longer, unless asked for
+    assert len(server.received) == 1
+
+
 def test_a_date_that_has_passed_is_no_wait(server):
     server.misbehave(status(503, {"Retry-After": formatdate(time.time() - 100, usegmt=True)}))
     assert ask(server, "openai").seconds < 3.0

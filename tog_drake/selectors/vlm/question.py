@@ -1,6 +1,6 @@
 """What a vision-language model is asked and what comes back, whatever API it is asked by.
 
-A strategy asks a ``Question``. The client adds how the model at hand is to answer, which makes it
+A strategy asks a ``Question``. A dialogue adds how the model at hand is to answer, which makes it
 a ``Message``; an API turns that into the body of a request, and the response into a ``Reply``.
 ``answers.read`` finds the ``Answer`` in the reply's text.
 """

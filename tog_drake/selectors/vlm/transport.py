@@ -66,23 +66,25 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
             key, even where the server repeats it.
     """
     data = json.dumps(body).encode()
-    for attempt in range(ATTEMPTS):
+    attempt = 0
+    while True:
         try:
             return _within(deadline, url, headers, data)
         except _Again as again:
             delay, failure = again.delay, again.failure
-        if attempt == ATTEMPTS - 1:
+        attempt += 1
+        if attempt == ATTEMPTS:
             raise failure
+        asked_to_wait = delay is not None
         if delay is None:
-            delay = min(FIRST_DELAY * 2**attempt, LONGEST_DELAY)
+            delay = min(FIRST_DELAY * 2 ** (attempt - 1), LONGEST_DELAY)
         left = deadline - time.monotonic()
         if delay >= left:
             raise Unanswered(
-                "timed_out",
+                "timed_out" if asked_to_wait else failure.status,
                 f"{failure}; the next attempt would be in {delay:.3g} s, and {left:.3g} s are left",
             )
         time.sleep(delay)
-    raise AssertionError("unreachable: the last attempt returns or raises")
 
 
 def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) -> Any:
