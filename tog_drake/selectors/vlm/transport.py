@@ -81,7 +81,7 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
         left = deadline - time.monotonic()
         if delay >= left:
             raise Unanswered(
-                "timed_out" if asked_to_wait else failure.status,
+                "timed_out" if asked_to_wait or left <= 0.0 else failure.status,
                 f"{failure}; the next attempt would be in {delay:.3g} s, and {left:.3g} s are left",
             )
         time.sleep(delay)
@@ -113,7 +113,8 @@ def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) 
 def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes) -> Any:
     import requests
 
-    left = max(deadline - time.monotonic(), 0.001)
+    # A second more than is left: it is the caller who says that time is up, not the socket.
+    left = max(deadline - time.monotonic(), 0.0) + 1.0
     sent = {**headers, "Content-Type": "application/json", "Accept-Encoding": "identity"}
     # What requests says of an error may hold headers and so keys; its kind says enough.
     try:
