@@ -303,6 +303,30 @@ def test_no_value_of_a_field_raises_anything_but_an_input_error(field, value):
         assert str(error).startswith("here ")
 
 
+@given(
+    data=st.binary(max_size=60),
+    start=st.integers(0, 900),
+    cut=st.integers(0, 40),
+    mode=st.sampled_from(["record", "replay", "export"]),
+)
+def test_a_cassette_with_anything_in_it_is_read_or_refused(
+    data, start, cut, mode, tmp_path_factory
+):
+    path = tmp_path_factory.mktemp("broken") / "tape.jsonl"
+    writer = Cassette(path, "record")
+    writer.add(request(), said("2"), seconds=0)
+    writer.add(request("else"), said("1"), seconds=0)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:start] + data + whole[start + cut :])
+    try:
+        cassette = Cassette(path, mode)
+        if mode == "record":
+            cassette.add(request("more"), said("3"), seconds=0)
+            assert Cassette(path, "replay").lookup(request("more")).response == said("3")
+    except InputError as error:
+        assert str(path) in str(error)
+
+
 def _record(path, worker):
     cassette = Cassette(path, "record")
     for n in range(8):

@@ -13,6 +13,7 @@ from tog_drake.episode import build_world, look
 from tog_drake.evaluation import Cell, cell_scenario
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
+from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.recorded import Recorded
 
@@ -103,7 +104,7 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     monkeypatch.setattr(vlm_export, "in_processes", lambda work, cells, workers: map(work, cells))
     done = tog(
         "vlm", "export", "--cassette", tmp_path / "t.jsonl", *MODEL, "--out", tmp_path / "out",
-        "--scenarios", "Hammer,Mug", "--tasks", "use", "--seeds", 2,
+        "--scenarios", "Hammer,Mug", "--tasks", "use", "--seeds", 2, "--strategy", "gmi",
     )  # fmt: skip
     assert done.status == 0, done.err
     assert [(cell.scenario, cell.seed) for cell in cells] == [
@@ -111,7 +112,10 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     ]  # fmt: skip
     assert "2 decided, 0 waiting for answers, 2 without a question" in done.out
     assert "no question: Mug, seed 1: use the mug: no grasp" in done.out
-    assert f"go on with --replay {tmp_path / 't.jsonl'}" in done.out
+    text = done.out.splitlines()[-1].strip("'")
+    scenario = parse_scenario(text, "what is to be copied", Scenario())
+    selector = scenario.pipeline.selector
+    assert (selector.strategy, selector.replay) == ("gmi", str(tmp_path / "t.jsonl"))
 
 
 @pytest.mark.parametrize(
@@ -119,6 +123,8 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     [
         ((), ("--task for one scenario, or --scenarios",)),
         (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or",)),
+        (("--scenarios", "objects", "--seed", 3), ("--seeds",)),
+        (("--task", "..."), ("no words",)),
         (("--task", TASK, "--strategy", "gpt"), ("strategy", "gsi, cpsi")),
         (("--task", TASK, "--scenario", "Hamer"), ("Hamer",)),
         (("--scenarios", "Hammer", "--tasks", "juggle"), ("juggle", "use, handover, part")),

@@ -1,5 +1,6 @@
 """The commands about vision-language models: ``tog prompts`` and ``tog vlm ...``."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -171,6 +172,7 @@ def export(
     """
     from tog_drake.evaluation import Cell, make_cells, scenario_names
     from tog_drake.scenario import load_scenario
+    from tog_drake.task import read_task
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
@@ -178,8 +180,11 @@ def export(
     check_file(cassette, "--cassette")
     if (task is None) == (scenarios is None):
         raise InputError("what is to be asked? valid: --task for one scenario, or --scenarios")
+    if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
+        raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
     if scenarios is None:
         name, told = scenario or "Hammer", (task or "",)
+        read_task(told[0])
         seed = load_scenario(name, scenario_text).random_seed if seed is None else seed
         cells = [Cell(name, object_ or "", "vlm", seed, told, noise, scenario_text)]
     else:
@@ -198,6 +203,14 @@ def export(
         cells, options, cassette=cassette, out=out, workers=workers, console=console
     )
     _say_exported(console, exported, cassette, out)
+    if not exported.questions and scenarios is None:
+        say(console, f"go on: tog run --vlm replay:{cassette}, with the same options")
+    elif not exported.questions:
+        settings = {"strategy": strategy, "rendering": rendering, "votes": votes}
+        given = {name: value for name, value in settings.items() if value is not None}
+        text = json.dumps({**given, "replay": str(cassette)})
+        say(console, "go on: tog eval with the same suite, --selectors vlm and --scenario-text")
+        say(console, f"'pipeline: {{selector: !Vlm {text}}}'")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
 
@@ -211,7 +224,7 @@ def _say_exported(console: "Console", exported: "Exported", cassette: Path, out:
         f"{len(exported.over)} without a question",
     )
     if not exported.questions:
-        say(console, f"questions: none pending; go on with --replay {cassette}")
+        say(console, "questions: none pending")
         return
     say(console, f"questions: {exported.questions} pending")
     say(console, f"for a batch API: {', '.join(map(str, exported.files))}; {exported.how}")

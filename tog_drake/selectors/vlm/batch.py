@@ -61,7 +61,7 @@ def batch_entry(request: Request) -> dict[str, Any]:
 class Export:
     """Writes questions into a folder as they come; ``finish`` ends it.
 
-    Files of an earlier export in the same folder go away.
+    The batches of an earlier export in the same folder go away at once.
     """
 
     folder: Path
