@@ -80,11 +80,10 @@ def tile(strategy: str, image: Image) -> Image:
     return canvas
 
 
-def pictures(scene: Scene) -> dict[str, Image]:
-    """Returns one picture of each strategy, and one of all, ``strategies``."""
+def pictures(shown_by: dict[str, list[Image]]) -> dict[str, Image]:
+    """Returns one picture of what each strategy has shown, and one of all, ``strategies``."""
     made, tiles = {}, []
-    for name in CAPTIONS:
-        images = shown(name, scene)
+    for name, images in shown_by.items():
         marked = images[1:] or images  # the first is the one without marks
         several = len(marked) > 1
         made[name] = grid(marked, 3) if several else marked[0]
@@ -94,5 +93,6 @@ def pictures(scene: Scene) -> dict[str, Image]:
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "diagrams/vlm")
-    for name, image in pictures(look()).items():
+    scene = look()
+    for name, image in pictures({name: shown(name, scene) for name in CAPTIONS}).items():
         write_atomically(folder / f"{name}.png", encode_png(image, compression=9))
