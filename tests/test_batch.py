@@ -6,7 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
@@ -296,6 +296,7 @@ _LINE = st.dictionaries(st.sampled_from(_FIELDS), _JSON, max_size=4).flatmap(
 )
 
 
+@settings(max_examples=60)
 @given(data=st.binary(max_size=200) | st.lists(_LINE, max_size=3).map(lambda x: _as_lines(x)))
 def test_any_file_of_answers_is_imported_or_refused(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("answers")

@@ -9,7 +9,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
@@ -303,6 +303,7 @@ def test_no_value_of_a_field_raises_anything_but_an_input_error(field, value):
         assert str(error).startswith("here ")
 
 
+@settings(max_examples=60)
 @given(
     data=st.binary(max_size=60),
     start=st.integers(0, 900),
