@@ -1,0 +1,81 @@
+"""Where imported objects live, and what is known of each."""
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+from tog_drake.assets.model import MODEL
+from tog_drake.errors import InputError
+
+VARIABLE = "TOG_ASSETS"  # environment variable that names another folder
+REPORT = "report.json"
+PACKAGE = "tog_assets"  # package://tog_assets/NAME/model.sdf in scenarios
+MAX_REPORT_BYTES = 1_000_000
+
+
+def library_dir() -> Path:
+    """Returns the folder of imported objects: that of ``TOG_ASSETS``, or the platform's cache."""
+    given = os.environ.get(VARIABLE)
+    if given:
+        return Path(given).expanduser().resolve()
+    from platformdirs import user_cache_path
+
+    return user_cache_path("tog_drake", appauthor=False) / "assets"
+
+
+def asset_names() -> list[str]:
+    """Returns the names of all imported objects."""
+    return sorted(path.parent.name for path in library_dir().glob(f"*/{MODEL}"))
+
+
+def asset_dir(name: str) -> Path:
+    """Returns the folder of an imported object.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    folder = library_dir() / checked_name(name)
+    if not (folder / MODEL).is_file():
+        raise InputError(
+            f"no imported object is called {name!r}; `tog assets list` shows those that are, "
+            "`tog assets import` and `tog assets fetch` bring in more"
+        )
+    return folder
+
+
+def checked_name(name: str) -> str:
+    """Returns a name that is fit for a folder and for a model.
+
+    Raises:
+        InputError: it is not.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name) or ".." in name:
+        raise InputError(
+            f"{name!r:.120} is no name for an object: letters, digits, '_', '-' and '.' only, the "
+            "first a letter or a digit, at most 100"
+        )
+    return name
+
+
+def read_report(name: str) -> dict[str, Any]:
+    """Returns what its import said of an object; empty where nothing readable is left of it."""
+    path = asset_dir(name) / REPORT
+    try:
+        if path.stat().st_size > MAX_REPORT_BYTES:
+            return {}
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def remove_asset(name: str) -> None:
+    """Deletes an imported object.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    shutil.rmtree(asset_dir(name))
