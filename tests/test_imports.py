@@ -8,7 +8,10 @@ import pytest
 
 import tog_drake
 
-HEAVY = ("torch", "cv2", "requests")
+HEAVY = (
+    *("torch", "cv2", "requests"),
+    *("trimesh", "fast_simplification", "coacd", "PIL", "platformdirs"),
+)
 
 
 def _loaded(program):
@@ -35,8 +38,22 @@ except SystemExit as ended:
 
 @pytest.mark.parametrize(
     "program",
-    ["import tog_drake", _help(), *map(_help, ("run", "choose", "prompts")), _help("vlm", "check")],
-    ids=["import", "help", "run --help", "choose --help", "prompts --help", "vlm check --help"],
+    [
+        "import tog_drake",
+        _help(),
+        *map(_help, ("run", "choose", "prompts")),
+        _help("vlm", "check"),
+        _help("assets", "import"),
+    ],
+    ids=[
+        "import",
+        "help",
+        "run --help",
+        "choose --help",
+        "prompts --help",
+        "vlm check --help",
+        "assets import --help",
+    ],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):
     loaded = _loaded(program)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 from rich.table import Table
 
+from tog_drake.assets_commands import app as assets_app
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
@@ -353,6 +354,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
 app.command(epilog=_epilog("tog prompts cpg"))(prompts)
 app.add_typer(vlm_app, name="vlm")
+app.add_typer(assets_app, name="assets")
 
 
 def main() -> None:
