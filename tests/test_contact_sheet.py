@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tog_drake import showing
-from tog_drake.compliance import load_parts
 from tog_drake.contact_sheet import (
     COLUMNS,
     PART_COLORS,
@@ -16,6 +15,7 @@ from tog_drake.contact_sheet import (
     object_tiles,
     tile_image,
 )
+from tog_drake.object_parts import load_parts
 from tog_drake.resources import resource_dir
 
 

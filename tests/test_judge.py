@@ -8,10 +8,11 @@ from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
-from tog_drake.compliance import PartLabels, load_parts
+from tog_drake.compliance import PartLabels
 from tog_drake.episode import load_objects
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, TURN, Judge, Sample, verdict_of
+from tog_drake.object_parts import load_parts
 from tog_drake.record import OUTCOMES
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import load_scenario

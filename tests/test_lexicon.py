@@ -4,9 +4,9 @@ import pytest
 import yaml
 
 import tog_drake
-from tog_drake.compliance import load_parts
 from tog_drake.errors import InputError
 from tog_drake.lexicon import LEXICON, load_lexicon
+from tog_drake.object_parts import load_parts
 from tog_drake.resources import resource_dir
 from tog_drake.task import read_task
 

@@ -7,8 +7,8 @@ import pytest
 from pydrake.geometry import QueryObject
 from pydrake.perception import PointCloud
 
-from tog_drake.compliance import load_parts
 from tog_drake.errors import NoChoice, NoGrasp
+from tog_drake.object_parts import load_parts
 from tog_drake.resources import resource_dir
 from tog_drake.selectors.oracle import choose_by_labels
 from tog_drake.values import Candidates, FeasibleGrasps, Grasps, View

@@ -78,7 +78,11 @@ def run(
     scenario_text: ScenarioText = None,
     object_: Annotated[
         str | None,
-        typer.Option("--object", help="Which object the task is about; alone, its scenario too."),
+        typer.Option(
+            "--object",
+            help="Which object the task is about; alone, its scenario too. With a scenario of one "
+            "imported object, such as Tog29: which one to put there.",
+        ),
     ] = None,
     selector: SelectorOption = None,
     strategy: StrategyOption = None,
@@ -117,6 +121,8 @@ def run(
         selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
     )
     loaded = _load(name, scenario_text, options, proposer, k, seed, fallback="geometric")
+    if loaded.asset is not None and object_ is not None:
+        loaded.asset = object_
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None

@@ -4,11 +4,11 @@ Part labels are simulated ground truth. They are for judging, evaluating and sho
 the pipeline but the oracle (``selectors/oracle.py``) reads them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydrake.geometry import (
     Box,
@@ -16,80 +16,26 @@ from pydrake.geometry import (
     Cylinder,
     Ellipsoid,
     GeometryId,
+    Mesh,
     QueryObject,
     SceneGraph,
     SceneGraphInspector,
     Sphere,
 )
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from scipy.spatial import cKDTree
 
+from tog_drake.assets.model import CORE, SKIN
+from tog_drake.assets.surface import read_core, surface_points
 from tog_drake.errors import InputError
-from tog_drake.grammar import lemma
-from tog_drake.lexicon import LEXICON
+from tog_drake.object_parts import ObjectParts
 from tog_drake.panda import PAD_WIDTH
-from tog_drake.task import read_task
+from tog_drake.regions import Region, region_of
 from tog_drake.values import Array, Grasps
 
-
-@dataclass(frozen=True)
-class ObjectParts:
-    """What an object is and what its parts are for: the content of a ``parts.yaml``."""
-
-    object: str
-    words: tuple[str, ...]  # what a person may call it
-    geometries: dict[str, str]  # collision geometry -> part
-    part_words: dict[str, tuple[str, ...]]  # part -> what a person may call it
-    tasks: dict[str, tuple[str, ...]]  # intent -> parts that may be held
-
-    def allowed(self, task: str) -> frozenset[str] | None:
-        """Returns the parts that the task allows to hold; None where its words do not say.
-
-        A part named in the task overrides its intent; a part to be avoided is taken away, and
-        where nothing else is asked for the others remain. None is allowed, an empty set, where
-        the task says to leave things alone.
-        """
-        reading = read_task(task)
-        if reading.forbidden:
-            return frozenset()
-        avoided = self._parts_called(reading.avoid)
-        asked = frozenset(self.tasks.get(reading.intent or "", ()))
-        if reading.parts:
-            asked = self._parts_called(reading.parts)
-        if asked - avoided:
-            return asked - avoided
-        return frozenset(self.part_words) - avoided if avoided else None
-
-    def _parts_called(self, words: tuple[str, ...]) -> frozenset[str]:
-        # A task's words for parts come in the spelling of the lexicon, labels as people say them.
-        return frozenset(
-            part
-            for part, called in self.part_words.items()
-            if {LEXICON.parts.get(lemma(word), word) for word in (part, *called)} & set(words)
-        )
-
-
-def load_parts(path: Path) -> ObjectParts:
-    """Reads a ``parts.yaml`` (its form is described in ``models/README.md``).
-
-    Raises:
-        InputError: if the file is missing or not of that form.
-    """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        parts = content["parts"]
-        return ObjectParts(
-            object=str(content["object"]),
-            words=tuple(map(str, content["words"])),
-            geometries={str(g): part for part, p in parts.items() for g in p["geometries"]},
-            part_words={part: tuple(map(str, p["words"])) for part, p in parts.items()},
-            tasks={intent: tuple(allowed) for intent, allowed in content["tasks"].items()},
-        )
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"cannot read part labels from {path}: {error}; a labelled object has a parts.yaml "
-            "beside its SDF with the keys object, words, parts and tasks"
-        ) from error
-
+UNLABELLED = "unlabelled"  # the one part of an object that has no labels
 
 Planes = tuple[Array, Array, float]
 """Outward normals (F, 3), offsets (F,) [m] and the distance of the farthest corner from the origin
@@ -97,8 +43,38 @@ Planes = tuple[Array, Array, float]
 
 
 @dataclass(frozen=True)
+class LabelledSurface:
+    """The surface of a scanned object, whose regions say what part a place on it belongs to."""
+
+    body: BodyIndex  # the frame of its points
+    parts: tuple[tuple[str, str], ...]  # (model instance, part) of each region, then unlabelled
+    regions: tuple[Region, ...]
+    tree: cKDTree  # of points on it [m]
+    part: NDArray[np.int64]  # row of ``parts`` for each of these
+
+    def shares(self, p_O: Array, weight: Array) -> dict[tuple[str, str], float]:
+        """Returns the weight (N,) of the points (N, 3) that lie on each part."""
+        shares: dict[tuple[str, str], float] = {}
+        for i, w in zip(region_of(self.regions, p_O), weight, strict=True):
+            shares[self.parts[i]] = shares.get(self.parts[i], 0.0) + float(w)
+        return shares
+
+
+def labelled_surface(
+    model: str, core: Path, regions: tuple[Region, ...], body: BodyIndex
+) -> LabelledSurface:
+    """Returns the surface of a model instance, read from the file of its core."""
+    points = surface_points(*read_core(core))
+    names = [*(region.part for region in regions), UNLABELLED]  # the last is that of row -1
+    row = region_of(regions, points) % len(names)
+    return LabelledSurface(
+        body, tuple((model, name) for name in names), regions, cKDTree(points), row
+    )
+
+
+@dataclass(frozen=True)
 class PartLabels:
-    """The part that each collision geometry of the objects belongs to.
+    """The part that each collision geometry of the objects, or place on a core, belongs to.
 
     An object without labels counts as one part, for what the hand meets of it.
     """
@@ -106,6 +82,7 @@ class PartLabels:
     part_of: dict[GeometryId, tuple[str, str]]  # -> (model instance, part)
     objects: dict[str, ObjectParts]  # by model instance
     planes: dict[GeometryId, Planes]  # that bound each of those geometries
+    surfaces: dict[GeometryId, LabelledSurface]  # of scanned objects: their cores
 
     @staticmethod
     def from_plant(
@@ -122,23 +99,32 @@ class PartLabels:
             InputError: if a labelled object has a collision geometry without a part.
         """
         inspector = scene_graph.model_inspector()
-        part_of = {}
-        for model, labels in objects.items():
-            for body in plant.GetBodyIndices(plant.GetModelInstanceByName(model)):
-                for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body)):
-                    name = inspector.GetName(geometry).split("::")[-1]
-                    if name not in labels.geometries:
-                        raise InputError(
-                            f"collision geometry {name} of {model} has no part in its parts.yaml; "
-                            f"labelled are {', '.join(labels.geometries)}"
-                        )
-                    part_of[geometry] = (model, labels.geometries[name])
-        for index in plant.GetFloatingBaseBodies():
+        part_of: dict[GeometryId, tuple[str, str]] = {}
+        surfaces: dict[GeometryId, LabelledSurface] = {}
+        for index in sorted(plant.GetFloatingBaseBodies()):
             body = plant.get_body(index)
             model = plant.GetModelInstanceName(body.model_instance())
+            labels = objects.get(model)
             for geometry in plant.GetCollisionGeometriesForBody(body):
-                part_of.setdefault(geometry, (model, _UNLABELLED))
-        return PartLabels(part_of, objects, {g: _planes(inspector, g) for g in part_of})
+                name = inspector.GetName(geometry).split("::")[-1]
+                shape = inspector.GetShape(geometry)
+                if name == CORE and isinstance(shape, Mesh):
+                    regions = labels.regions if labels else ()
+                    core = Path(shape.source().path())
+                    surfaces[geometry] = labelled_surface(model, core, regions, index)
+                elif name.startswith(f"{SKIN}_"):
+                    continue  # no pad touches it
+                elif labels is None:
+                    part_of[geometry] = (model, UNLABELLED)
+                elif name not in labels.geometries:
+                    raise InputError(
+                        f"collision geometry {name} of {model} has no part in its parts.yaml; "
+                        f"labelled are {', '.join(labels.geometries) or 'regions of its core'}"
+                    )
+                else:
+                    part_of[geometry] = (model, labels.geometries[name])
+        planes = {g: _planes(inspector, g) for g in part_of}
+        return PartLabels(part_of, objects, planes, surfaces)
 
     def closing_region(
         self, grasps: Grasps, query_object: QueryObject
@@ -165,13 +151,15 @@ class PartLabels:
         """Finds the labelled part nearest to each of the points p_W (P, 3).
 
         Distances are to the planes of each convex shape: exact inside and before its faces, too
-        short beside its edges.
+        short beside its edges; of a scanned object, to points on its surface.
 
         Returns:
             All (model instance, part), and of each point which of them it is (P,); -1 where none
             is within ``reach`` [m].
         """
-        parts = list(dict.fromkeys(self.part_of.values()))
+        known = [*self.part_of.values()]
+        known += [part for surface in self.surfaces.values() for part in surface.parts]
+        parts = list(dict.fromkeys(known))
         nearest = np.full(len(p_W), -1)
         distance = np.full(len(p_W), reach)
         for geometry, part in self.part_of.items():
@@ -182,27 +170,48 @@ class PartLabels:
             nearer = to_shape < distance[row]
             distance[row[nearer]] = to_shape[nearer]
             nearest[row[nearer]] = parts.index(part)
+        for geometry, surface in self.surfaces.items():
+            p_G = query_object.GetPoseInWorld(geometry).inverse().multiply(p_W.T).T
+            to_surface, point = surface.tree.query(p_G, distance_upper_bound=reach)
+            row = np.flatnonzero(to_surface < distance)
+            distance[row] = to_surface[row]
+            index = np.array([parts.index(part) for part in surface.parts])
+            nearest[row] = index[surface.part[point[row]]]
         return parts, nearest
 
     def held(
-        self, forces: list[tuple[GeometryId, GeometryId, float]], pads: frozenset[GeometryId]
+        self,
+        contacts: ContactResults,
+        pads: frozenset[GeometryId],
+        poses: Sequence[RigidTransform],
     ) -> dict[tuple[str, str], float]:
         """Returns the force [N] of the finger pads on each (model instance, part).
 
+        Where a pad meets a scanned object, each face of the patch of contact counts for the part
+        that its middle lies on, by area and pressure.
+
         Args:
-            forces: of all contacts, from ``contact_forces``.
+            contacts: all of them.
             pads: the geometries of the fingers.
+            poses: X_WB of every body, by its index.
         """
         force: dict[tuple[str, str], float] = {}
-        for a, b, newtons in forces:
+        for i, (a, b, newtons) in enumerate(contact_forces(contacts)):
             other = b if a in pads else a if b in pads else None
-            if other is not None and other in self.part_of:
-                part = self.part_of[other]
-                force[part] = force.get(part, 0.0) + newtons
+            if other in self.part_of:
+                shares = {self.part_of[other]: 1.0}
+            elif other in self.surfaces:
+                surface = self.surfaces[other]
+                p_W, weight = _patch(contacts, i)
+                p_O = poses[surface.body].inverse().multiply(p_W.T).T
+                shares = surface.shares(p_O, weight)
+            else:
+                continue
+            for part, share in shares.items():
+                force[part] = force.get(part, 0.0) + share * newtons
         return force
 
 
-_UNLABELLED = "unlabelled"  # the one part of an object that has no parts.yaml
 _CONTACT_REACH = 0.02  # [m] a sample farther than this from every part counts for none
 
 
@@ -272,3 +281,22 @@ def contact_forces(contacts: ContactResults) -> list[tuple[GeometryId, GeometryI
         force = pair.contact_force()
         found.append((pair.point_pair().id_A, pair.point_pair().id_B, float(np.linalg.norm(force))))
     return found
+
+
+def _patch(contacts: ContactResults, index: int) -> tuple[Array, Array]:
+    """Points (M, 3) [m] of a contact in W and their shares of its force (M,), in the order above.
+
+    Of a hydroelastic one they are the middles of its faces, weighted by area and pressure.
+    """
+    count = contacts.num_hydroelastic_contacts()
+    if index >= count:
+        pair = contacts.point_pair_contact_info(index - count)
+        return pair.contact_point()[None], np.ones(1)
+    surface = contacts.hydroelastic_contact_info(index).contact_surface()
+    pressure = surface.tri_e_MN() if surface.is_triangle() else surface.poly_e_MN()
+    faces = range(surface.num_faces())
+    p_W = np.array([surface.centroid(face) for face in faces])
+    weight = np.array(
+        [surface.area(face) * pressure.EvaluateCartesian(face, p_W[face]) for face in faces]
+    )
+    return p_W, weight / weight.sum()

@@ -28,8 +28,8 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from tog_drake.compliance import ObjectParts, load_parts
 from tog_drake.drawing import Image
+from tog_drake.object_parts import ObjectParts, load_parts
 from tog_drake.rendering import make_render_engine
 from tog_drake.resources import make_package_map, resource_dir
 from tog_drake.values import Array

@@ -10,10 +10,11 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tog_drake.camera import rendered_intrinsics
 from tog_drake.cameras import noise_of
-from tog_drake.compliance import ObjectParts, PartLabels, load_parts
+from tog_drake.compliance import PartLabels
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict
+from tog_drake.object_parts import ObjectParts, labels_file, load_parts
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
@@ -48,8 +49,8 @@ class World:
 
 def load_objects(scenario: Scenario) -> dict[str, ObjectParts]:
     """Returns the labels of the scenario's objects, those that have any, by model instance."""
-    files = {name: file.parent / "parts.yaml" for name, file in model_files(scenario).items()}
-    return {name: load_parts(path) for name, path in files.items() if path.is_file()}
+    files = {name: labels_file(file) for name, file in model_files(scenario).items()}
+    return {name: load_parts(path) for name, path in files.items() if path is not None}
 
 
 def build_world(

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tog_drake.cameras import with_noise
-from tog_drake.compliance import ObjectParts
 from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode, load_objects, run_episode
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
+from tog_drake.object_parts import ObjectParts
 from tog_drake.pipeline import SELECTORS
 from tog_drake.record import EpisodeRecord, selector_name
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
@@ -27,6 +27,8 @@ from tog_drake.terminal import keep_drake_quiet
 
 CLUTTER = ("Household", "Kitchen", "Tools")
 """The scenarios of several objects; every other one holds a single object."""
+SCANNED = ("Tog29",)
+"""Scenarios of imported objects."""
 
 # What is asked of an object, by the kind of task.
 TASKS = {
@@ -64,7 +66,7 @@ class Cell:
 def scenario_names(names: Iterable[str]) -> list[str]:
     """Returns scenarios by name; `objects` and `clutter` stand for all of that kind."""
     groups = {
-        "objects": [name for name in scenario_files() if name not in CLUTTER],
+        "objects": [name for name in scenario_files() if name not in CLUTTER + SCANNED],
         "clutter": list(CLUTTER),
     }
     return [scenario for name in names for scenario in groups.get(name, [name])]

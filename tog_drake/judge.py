@@ -101,7 +101,7 @@ class Judge:
             Sample(
                 time=context.get_time() - state.start_time if moving else -1.0,
                 lift=rise.pop(self._target),
-                held=self._labels.held(forces, self._pads),
+                held=self._labels.held(contacts, self._pads, poses),
                 hit=max((f for a, b, f in forces if self._is_hit(a, b)), default=0.0),
                 touched=self._touched(forces),
                 others=rise,

@@ -22,6 +22,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
+from tog_drake.assets.contact import filter_contacts
 from tog_drake.errors import InputError
 from tog_drake.resources import make_package_map
 from tog_drake.values import Array
@@ -134,13 +135,14 @@ class _Table:
             contact_model="hydroelastic_with_fallback",
             discrete_contact_approximation="sap",  # the calmest at such steps
         )
-        self.plant, _ = AddMultibodyPlant(config, builder)
+        self.plant, scene_graph = AddMultibodyPlant(config, builder)
         parser = Parser(self.plant)
         parser.package_map().AddMap(make_package_map())
         _check_base_frames(directives)
         without_poses = _with_poses(directives.directives, lambda model: {})
         ProcessModelDirectives(ModelDirectives(directives=without_poses), parser)
         self.plant.Finalize()
+        filter_contacts(self.plant, scene_graph)
         self.diagram = builder.Build()
         self._objects = [
             (self.plant.GetBodyByName(body, self.plant.GetModelInstanceByName(model.name)), pose)

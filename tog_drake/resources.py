@@ -4,6 +4,8 @@ from pathlib import Path
 
 from pydrake.multibody.parsing import PackageMap
 
+from tog_drake.assets.library import PACKAGE, library_dir
+
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -17,7 +19,12 @@ def resource_dir(name: str) -> Path:
 
 
 def make_package_map() -> PackageMap:
-    """Returns Drake's package map with ``package://tog_drake/`` at our ``models`` folder."""
+    """Returns Drake's package map: ``package://tog_drake/`` is our ``models`` folder.
+
+    ``package://tog_assets/`` is the folder of imported objects, where there is one.
+    """
     package_map = PackageMap()
     package_map.AddPackageXml(str(resource_dir("models") / "package.xml"))
+    if library_dir().is_dir():
+        package_map.Add(PACKAGE, str(library_dir()))
     return package_map

@@ -16,6 +16,9 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 from pydrake.systems.analysis import SimulatorConfig
 from pydrake.systems.sensors import CameraConfig
 
+from tog_drake.assets.library import PACKAGE, asset_dir
+from tog_drake.assets.model import CORE_FILE, MODEL
+from tog_drake.assets.surface import read_core
 from tog_drake.cameras import D435, L515, drake_config
 from tog_drake.errors import InputError
 from tog_drake.pipeline import PipelineConfig
@@ -55,6 +58,9 @@ class Scenario:
     """The model of arm (instance `panda`) and hand (instance `hand`), on a table at z = 0."""
     directives: list[ModelDirective] = field(default_factory=list)
     """The world around the robot. A stochastic `default_free_body_pose` is drawn by the seed."""
+    asset: str | None = None
+    """An imported object (`tog assets list`) that stands among them as in its file, turned any way;
+    its name is that of its model."""
     settle: Settle | None = None
     """Where given, `settle: {}`, the objects fall from these poses and come to rest."""
     planning_directives: list[ModelDirective] = field(default_factory=lambda: [_table()])
@@ -175,8 +181,34 @@ def sampled_directives(scenario: Scenario) -> list[ModelDirective]:
     Raises:
         InputError: if the scenario settles its objects and they do not come to rest.
     """
-    world = placed(scenario.directives, scenario.random_seed, scenario.settle)
+    world = placed(world_directives(scenario), scenario.random_seed, scenario.settle)
     return [robot_directive(scenario), *world]
+
+
+def world_directives(scenario: Scenario) -> list[ModelDirective]:
+    """Returns the directives of the world around the robot, with that of ``asset``.
+
+    Raises:
+        InputError: if that object is not imported, saying how it is.
+    """
+    if scenario.asset is None:
+        return scenario.directives
+    folder = asset_dir(scenario.asset)
+    vertices, _ = read_core(folder / CORE_FILE)
+    z = 0.001 - vertices[:, 2].min()
+    directive: ModelDirective = yaml_load_typed(
+        schema=ModelDirective,
+        data=f"""
+add_model:
+  name: {scenario.asset}
+  file: package://{PACKAGE}/{scenario.asset}/{MODEL}
+  default_free_body_pose:
+    base:
+      translation: !UniformVector {{ min: [0.52, -0.08, {z}], max: [0.60, 0.08, {z}] }}
+      rotation: !Rpy {{ deg: !UniformVector {{ min: [0, 0, -180], max: [0, 0, 180] }} }}
+""",
+    )
+    return [*scenario.directives, directive]
 
 
 def robot_directive(scenario: Scenario) -> ModelDirective:
@@ -190,13 +222,16 @@ def camera_configs(scenario: Scenario) -> dict[str, CameraConfig]:
 
 
 def model_files(scenario: Scenario) -> dict[str, Path]:
-    """Returns the file of each model that the scenario's own directives add, by name.
+    """Returns the file of each model that the scenario's own directives and ``asset`` add, by name.
 
     Raises:
-        InputError: if there is no such file or package.
+        InputError: if there is no such file or package, or an object is not imported.
     """
     packages = make_package_map()
-    models = [d.add_model for d in scenario.directives if d.add_model is not None]
+    models = [d.add_model for d in world_directives(scenario) if d.add_model is not None]
+    for model in models:
+        if model.file.startswith(f"package://{PACKAGE}/"):
+            asset_dir(model.file.split("/")[3])
     try:
         return {model.name: Path(packages.ResolveUrl(model.file)) for model in models}
     except RuntimeError as error:

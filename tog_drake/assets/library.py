@@ -41,9 +41,17 @@ def asset_dir(name: str) -> Path:
     if not (folder / MODEL).is_file():
         raise InputError(
             f"no imported object is called {name!r}; `tog assets list` shows those that are, "
-            "`tog assets import` and `tog assets fetch` bring in more"
+            f"{_remedy(name)}"
         )
     return folder
+
+
+def _remedy(name: str) -> str:
+    """The command that brings an object in, as far as its name tells."""
+    kind, _, rest = name.partition("_")
+    if kind in ("ycb", "gso") and rest:
+        return f"`tog assets fetch {kind}:{rest}` brings this one in"
+    return f"`tog assets add-dir DIR` brings it in from a folder DIR that holds {name}/"
 
 
 def checked_name(name: str) -> str:

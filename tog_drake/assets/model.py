@@ -13,6 +13,7 @@ from tog_drake.files import write_atomically
 from tog_drake.values import Array
 
 MODEL = "model.sdf"
+CORE_FILE = "core.obj"
 CORE, SKIN = "core", "skin"
 """Names of the collision geometries; the pieces of a skin are skin_0, skin_1 ...
 ``stations.simulation`` filters contacts by them."""
@@ -64,7 +65,7 @@ def write_model(
     friction: float = FRICTION,
 ) -> None:
     """Writes ``model.sdf`` and the meshes of core and skin; the visual must be there already."""
-    write_atomically(folder / "core.obj", _obj(*core))
+    write_atomically(folder / CORE_FILE, _obj(*core))
     for i, piece in enumerate(skin):
         write_atomically(folder / f"skin_{i}.obj", _obj(*piece))
     write_atomically(folder / MODEL, _sdf(folder.name, len(skin), inertia, friction))
@@ -113,7 +114,7 @@ def _sdf(name: str, pieces: int, inertia: Inertia, friction: float) -> str:
         <geometry><mesh><uri>{VISUAL}</uri></mesh></geometry>
       </visual>
       <collision name="{CORE}">
-        <geometry><mesh><uri>core.obj</uri></mesh></geometry>
+        <geometry><mesh><uri>{CORE_FILE}</uri></mesh></geometry>
         <drake:proximity_properties><drake:rigid_hydroelastic/>{contact}</drake:proximity_properties>
       </collision>{skin}
     </link>
