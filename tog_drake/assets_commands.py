@@ -65,6 +65,40 @@ def _up(axis: str) -> Literal["z", "y"]:
     raise InputError(f"--up must be z or y, not {axis!r}")
 
 
+@app.command(epilog="Example: tog assets fetch ycb:048_hammer gso:Schleich_Lion_Action_Figure")
+def fetch(
+    objects: Annotated[list[str], typer.Argument(help="ycb:NAME or gso:NAME.")],
+    force: Annotated[
+        bool, typer.Option("--force", help="Download and import again what is there already.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Download scanned objects from their official servers and import them. Exit 1: not all."""
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
+
+    from tog_drake.assets import fetching
+
+    console = console_for(as_json)
+    columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn()
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as bars:
+        bar = bars.add_task("")
+
+        def progress(spec: str, done: int, total: int | None) -> None:
+            if bars.tasks[bar].description != spec:
+                bars.reset(bar, description=spec)
+            bars.update(bar, completed=done, total=total)
+
+        def tell(fetched: fetching.Fetched) -> None:
+            report = fetched.report
+            how = fetched.message if report is None else line_of(report)
+            say(console, f"{fetched.asset}: {fetched.status}{how and ', ' + how}")
+
+        done = fetching.fetch(objects, force=force, progress=progress, tell=tell)
+    print_json(as_json, {fetched.asset: vars(fetched) for fetched in done})
+    raise typer.Exit(1 if any(fetched.status == "failed" for fetched in done) else 0)
+
+
 @app.command("list", epilog="Example: tog assets list --json")
 def list_(as_json: JsonOption = False) -> None:
     """List the imported objects."""

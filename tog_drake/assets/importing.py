@@ -20,6 +20,8 @@ from tog_drake.assets.visual import write_visual
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 
+LICENCE = "LICENSE.txt"  # goes with the object where it lies beside the mesh
+MAX_LICENCE_BYTES = 1_000_000
 MASS_RANGE = (0.001, 20.0)  # [kg]
 # Where scans keep their convex pieces, beside the mesh.
 _PIECES = ("collision/*.obj", "*_vhacd.stl", "*_col.obj")
@@ -87,6 +89,7 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
         )
     write_visual(mesh, folder)
     write_model(folder, core=core, skin=pieces, inertia=inertia, friction=options.friction)
+    _keep_licence(path.parent / LICENCE, folder)
     settled = settle(folder / MODEL, core[0])
     if not solid.watertight:
         notes.append("the surface is not closed: volume and inertia are estimates")
@@ -110,6 +113,11 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
         "settled": asdict(settled) | {"X_WB": settled.X_WB.tolist(), "ok": settled.ok},
         "notes": notes,
     }
+
+
+def _keep_licence(licence: Path, folder: Path) -> None:
+    if licence.is_file() and licence.stat().st_size <= MAX_LICENCE_BYTES:
+        write_atomically(folder / LICENCE, licence.read_bytes())
 
 
 def _pieces(path: Path, solid: Solid, options: ImportOptions) -> tuple[list[Piece], list[str]]:

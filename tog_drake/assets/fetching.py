@@ -1,0 +1,138 @@
+"""From the names of published scans to imported objects: download, unpack, import, say whose."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from tog_drake.assets.archive import extract
+from tog_drake.assets.download import Missing, discard, download, recorded_sha256
+from tog_drake.assets.importing import LICENCE, ImportOptions, import_mesh
+from tog_drake.assets.library import asset_names, library_dir
+from tog_drake.assets.sources import Remote, read_spec
+from tog_drake.assets.stream import Unreachable
+from tog_drake.errors import InputError
+
+Progress = Callable[[str, int, int | None], None]  # object, bytes so far, of all if that is known
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """What became of one object."""
+
+    spec: str
+    asset: str  # its name in the library
+    status: Literal["imported", "present", "failed"]
+    message: str = ""  # why it failed
+    report: dict[str, Any] | None = None  # of its import
+
+
+def downloads_dir() -> Path:
+    """Returns the folder of downloaded archives, which stay: importing again needs no network."""
+    return library_dir() / ".downloads"
+
+
+def fetch(
+    specs: Sequence[str],
+    *,
+    force: bool = False,
+    progress: Progress | None = None,
+    tell: Callable[[Fetched], None] | None = None,
+) -> list[Fetched]:
+    """Downloads and imports objects such as ``ycb:048_hammer``; one that fails stops no other.
+
+    Args:
+        specs: see ``read_spec``.
+        force: downloads and imports also what is there already.
+        progress: is told of every piece that arrives.
+        tell: is told of every object when it is over.
+
+    Raises:
+        InputError: something in ``specs`` names no object at all; then nothing is done.
+        OSError: the disk does not take it.
+    """
+    remotes = [read_spec(spec) for spec in dict.fromkeys(specs)]
+    present = frozenset() if force else frozenset(asset_names())
+    gone: dict[str, Unreachable] = {}  # by collection's title
+    done = []
+    for remote in remotes:
+        if remote.asset in present:
+            fetched = Fetched(remote.spec, remote.asset, "present")
+        else:
+            fetched = _fetched(remote, force, progress, gone)
+        done.append(fetched)
+        if tell is not None:
+            tell(fetched)
+    return done
+
+
+def _fetched(
+    remote: Remote, force: bool, progress: Progress | None, gone: dict[str, Unreachable]
+) -> Fetched:
+    try:
+        report = _fetch(remote, force, progress, gone)
+    except Unreachable as error:
+        gone[remote.source.title] = error
+        return Fetched(remote.spec, remote.asset, "failed", str(error))
+    except InputError as error:
+        return Fetched(remote.spec, remote.asset, "failed", str(error))
+    return Fetched(remote.spec, remote.asset, "imported", report=report)
+
+
+def _fetch(
+    remote: Remote, force: bool, progress: Progress | None, gone: dict[str, Unreachable]
+) -> dict[str, Any]:
+    url, source = remote.url, remote.source
+    archive = downloads_dir() / f"{remote.asset}{PurePosixPath(source.archive).suffix}"
+    known_gone = gone.get(remote.source.title)
+    if known_gone is not None and (force or recorded_sha256(archive) is None):
+        raise InputError(f"not tried, because there is no connection to {known_gone.host}")
+    try:
+        sha256 = download(
+            url,
+            archive,
+            force=force,
+            progress=progress and (lambda done, total: progress(remote.spec, done, total)),
+        )
+    except Missing as error:
+        raise InputError(f"{error}. Names: {source.catalogue}") from error
+    with tempfile.TemporaryDirectory(prefix=".unpacked-", dir=downloads_dir()) as folder:
+        unpacked = Path(folder) / remote.asset
+        try:
+            extract(archive, unpacked)
+        except InputError:
+            discard(archive)  # or it would be taken for good the next time
+            raise
+        mesh = _mesh_in(unpacked, remote)
+        (mesh.parent / LICENCE).write_text(remote.licence_text(sha256), encoding="utf-8")
+        options = ImportOptions(
+            scale=source.scale, up=source.up, mass=remote.mass, source=remote.provenance(sha256)
+        )
+        return import_mesh(mesh, remote.asset, options)
+
+
+def _mesh_in(folder: Path, remote: Remote) -> Path:
+    """Finds the mesh of an unpacked archive, and brings its textures beside it.
+
+    A mirror may have packed it into another folder: then its name alone must tell.
+    """
+    expected = PurePosixPath(remote.mesh)
+    mesh = folder / expected
+    if not mesh.is_file():
+        found = sorted(folder.rglob(expected.name))
+        if len(found) != 1:
+            held = sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+            raise InputError(
+                f"the archive of {remote.spec} holds {len(found)} files {expected.name}; expected "
+                f"{expected}, given {', '.join(held[:8])}"
+            )
+        mesh = found[0]
+    textures = remote.source.textures
+    if textures is not None:
+        root = mesh.parents[len(expected.parts) - 1]
+        for texture in sorted((root / textures).glob("*")):
+            if texture.is_file() and not (mesh.parent / texture.name).exists():
+                shutil.copyfile(texture, mesh.parent / texture.name)
+    return mesh
