@@ -12,7 +12,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, Multibod
 from pydrake.systems.framework import DiagramBuilder
 from scans import scanned_bar
 
-from tog_drake.assets.contact import filter_contacts
+from tog_drake.assets.contact import prepare_contacts
 from tog_drake.compliance import PartLabels
 from tog_drake.errors import InputError
 from tog_drake.object_parts import labels_file, load_parts
@@ -135,7 +135,7 @@ def _bar(tmp_path, labels):
         soft,
     )
     plant.Finalize()
-    filter_contacts(plant, scene_graph)
+    prepare_contacts(plant, scene_graph)
     objects = {"bar": load_parts(labels)} if labels else {}
     known = PartLabels.from_plant(plant, scene_graph, objects)
     diagram = builder.Build()

@@ -198,7 +198,7 @@ def finger(name: str, side: int) -> Link:
     # What is gripped is compliant. Against a rigid finger its contact costs two thirds of that
     # against a compliant one, and it slides as Coulomb says: the tilted edges of a patch between
     # two compliant bodies add up to a quarter.
-    return Link(name, 0.1, (pad, shank), hydroelastic="compliant")
+    return Link(name, 0.1, (pad, shank), hydroelastic="rigid")
 
 
 HAND = (

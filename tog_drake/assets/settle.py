@@ -10,7 +10,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from tog_drake.assets.contact import filter_contacts
+from tog_drake.assets.contact import prepare_contacts
 from tog_drake.resources import make_package_map
 from tog_drake.values import Array
 
@@ -61,7 +61,7 @@ def settle(model: Path, vertices: Array, rotation: Array | None = None) -> Settl
     parser.AddModelsFromUrl("package://tog_drake/scenes/table.dmd.yaml")
     (instance,) = parser.AddModels(str(model))
     plant.Finalize()
-    filter_contacts(plant, scene_graph)
+    prepare_contacts(plant, scene_graph)
     body = plant.GetBodyByName("base", instance)
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
