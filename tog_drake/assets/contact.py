@@ -16,8 +16,8 @@ from tog_drake.assets.model import CORE, SKIN
 from tog_drake.panda import FINGER_BODIES
 
 MODULUS = 1e7
-"""[Pa] of what cores lie on and are held by. Measured with 29 scans at steps of 5 ms: they sink in by
-0.1-0.9 mm, one of thin legs by 1.2 mm, and lie still; at 1e6 up to 6 mm, at 5e7 some rock."""
+"""[Pa] of what cores lie on and are held by. Measured with 29 scans at steps of 5 ms: they sink in
+by 0.1-0.9 mm, one of thin legs by 1.2 mm, and lie still; at 1e6 up to 6 mm, at 5e7 some rock."""
 _RESOLUTION = 0.01  # [m] of the fingers' meshes; boxes need no more
 
 
