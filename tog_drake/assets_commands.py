@@ -1,14 +1,17 @@
 """The commands about scanned objects: ``tog assets ...``."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.table import Table
 
+from tog_drake.assets.reporting import line_of, rows_of
 from tog_drake.errors import InputError
+from tog_drake.files import check_file, write_atomically
 from tog_drake.options import JsonOption
 from tog_drake.terminal import console_for, print_json, say
+from tog_drake.visible_text import visible
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -21,14 +24,23 @@ app = typer.Typer(
 @app.command("import", epilog="Example: tog assets import mug.obj --name red_mug --mass 0.118")
 def import_(
     meshes: Annotated[list[Path], typer.Argument(help="OBJ, glTF, GLB, PLY or STL files.")],
-    name: Annotated[str | None, typer.Option(help="Of the object; else that of the file.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the object; else that of the file, or of its folder where that says more."
+        ),
+    ] = None,
     scale: Annotated[float, typer.Option(help="Metres per unit of the file.")] = 1.0,
-    up: Annotated[str, typer.Option(help="The axis of the file that points up: z | y.")] = "z",
+    up: Annotated[
+        str | None,
+        typer.Option(help="The axis of the file that points up: z | y; y for glTF unless given."),
+    ] = None,
     mass: Annotated[float | None, typer.Option(help="[kg]; else from the density.")] = None,
     density: Annotated[float | None, typer.Option(help="[kg/m³], 400 unless given.")] = None,
     friction: Annotated[float | None, typer.Option(help="Coefficient, 0.8 unless given.")] = None,
     faces: Annotated[
-        int | None, typer.Option(help="Of the surface that touches, 1500 unless given.")
+        int | None,
+        typer.Option(help="Of the surface that touches, as few as lie still unless given."),
     ] = None,
     decompose: Annotated[
         bool, typer.Option(help="Cut convex pieces where none come with it: seconds to minutes.")
@@ -36,7 +48,7 @@ def import_(
     as_json: JsonOption = False,
 ) -> None:
     """Make scanned meshes into objects that can be grasped. Exit 0: all lie still; 1: not all."""
-    from tog_drake.assets.importing import ImportOptions, import_mesh
+    from tog_drake.assets.importing import ImportOptions, import_mesh, name_for
 
     if name is not None and len(meshes) > 1:
         raise InputError(f"--name {name} is one name for {len(meshes)} meshes; import one by one")
@@ -45,10 +57,15 @@ def import_(
         if value is not None:
             setattr(options, option, value)
     console = console_for(as_json)
+    named = {name or name_for(mesh): mesh for mesh in meshes}
+    if len(named) < len(meshes):
+        raise InputError(
+            f"{len(meshes)} meshes, but only {len(named)} names: {', '.join(named)}; "
+            "import those of one name one by one, with --name"
+        )
     reports = {}
-    for mesh in meshes:
+    for called, mesh in named.items():
         with console.status(f"importing {mesh.name} ..."):
-            called = name or mesh.stem
             reports[called] = import_mesh(mesh, called, options)
         say(console, f"{called}: {line_of(reports[called])}")
         for note in reports[called]["notes"]:
@@ -57,7 +74,9 @@ def import_(
     raise typer.Exit(0 if all(r["settled"]["ok"] for r in reports.values()) else 1)
 
 
-def _up(axis: str) -> Literal["z", "y"]:
+def _up(axis: str | None) -> Literal["z", "y"] | None:
+    if axis is None:
+        return None
     if axis == "z":
         return "z"
     if axis == "y":
@@ -100,11 +119,18 @@ def fetch(
 
 
 @app.command("list", epilog="Example: tog assets list --json")
-def list_(as_json: JsonOption = False) -> None:
+def list_(
+    sheet: Annotated[
+        Path | None, typer.Option(help="PNG file: draw them all on one sheet, too.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """List the imported objects."""
     from tog_drake.assets.library import asset_names, library_dir, read_report
 
     console = console_for(as_json)
+    if sheet is not None:
+        _draw_sheet(asset_names(), sheet)
     reports = {name: read_report(name) for name in asset_names()}
     if reports:
         table = Table("object", "what it is")
@@ -115,14 +141,73 @@ def list_(as_json: JsonOption = False) -> None:
     print_json(as_json, reports)
 
 
-def line_of(report: dict[str, Any]) -> str:
-    """Returns the short form of an import report: size, mass, and how it lies."""
-    try:
-        length, width, height = (100 * side for side in report["extent"])
-        rest = "lies still" if report["settled"]["ok"] else "does not lie still"
-        return f"{length:.1f} x {width:.1f} x {height:.1f} cm, {report['mass']:.3g} kg, {rest}"
-    except (KeyError, TypeError, ValueError):
-        return "its report cannot be read; import it again"
+def _draw_sheet(objects: list[str], path: Path) -> None:
+    from tog_drake.assets import preview
+    from tog_drake.drawing import encode_png
+
+    check_file(path, "--sheet")
+    write_atomically(path, encode_png(preview.sheet(objects), compression=9))
+
+
+@app.command(epilog="Example: tog assets show red_mug --out red_mug.html")
+def show(
+    name: Annotated[str, typer.Argument(help="Of an imported object.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Write a static page instead of serving one.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show what its import said of an object, and the object in Meshcat until Ctrl-C."""
+    from tog_drake.assets.library import asset_dir, read_report
+    from tog_drake.assets.viewing import serve_asset, write_page
+
+    console = console_for(as_json)
+    if out is not None:
+        check_file(out)
+    report = read_report(name)
+    table = Table("of it", name, show_header=False)
+    for row in rows_of(report):
+        table.add_row(*map(visible, row))
+    console.print(table)
+    print_json(as_json, report)
+    if out is None:
+        serve_asset(asset_dir(name), console)
+    else:
+        write_page(asset_dir(name), out)
+        say(console, f"page: {out}")
+
+
+@app.command("add-dir", epilog="Example: tog assets add-dir ../scans --workers 2")
+def add_dir(
+    folder: Annotated[Path, typer.Argument(help="Holds a folder for each object.")],
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    as_json: JsonOption = False,
+) -> None:
+    """Import a folder of scans. Exit 0: all lie still; 1: one does not, or cannot be imported.
+
+    Each has a folder of its own with one mesh in it. A metadata.json beside these may say more:
+    {NAME: {mesh, scale_to_m, up_axis, mass_kg_ycb, licence, repo}}.
+    """
+    from rich.progress import Progress
+
+    from tog_drake.assets.adding import add, find_jobs
+
+    console = console_for(as_json)
+    jobs = find_jobs(folder)
+    results = {}
+    with Progress(console=console, transient=True) as progress:
+        bar = progress.add_task("objects", total=len(jobs))
+        for name, report in add(jobs, workers):
+            results[name] = report
+            error = report.get("error")
+            say(console, f"{name}: {line_of(report) if error is None else error}")
+            for note in report.get("notes", ()):
+                say(console, f"  note: {note}")
+            progress.advance(bar)
+    good = sum("error" not in r and r["settled"]["ok"] for r in results.values())
+    say(console, f"{good} of {len(jobs)} are imported and lie still")
+    print_json(as_json, results)
+    raise typer.Exit(0 if good == len(jobs) else 1)
 
 
 @app.command(epilog="Example: tog assets remove red_mug")

@@ -8,12 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
     GeometryId,
     PerceptionProperties,
-    QueryObject,
-    RenderCameraCore,
     RenderLabel,
     Rgba,
     Role,
@@ -21,15 +17,23 @@ from pydrake.geometry import (
     SceneGraph,
     VolumeMesh,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.sensors import CameraInfo
 
 from tog_drake.drawing import Image
 from tog_drake.object_parts import ObjectParts, load_parts
+from tog_drake.portrait import (
+    FAINT_INK,
+    GROUND,
+    INK,
+    blank,
+    in_rows,
+    picture,
+    write_words,
+)
 from tog_drake.rendering import make_render_engine
 from tog_drake.resources import make_package_map, resource_dir
 from tog_drake.values import Array
@@ -41,12 +45,7 @@ INSET = (150, 112)  # of its parts, at the bottom right
 # The colours of parts, in the order of the labels: those of Okabe and Ito (2008), which people
 # with any colour vision tell apart.
 PART_COLORS = ((0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 121, 167))
-GROUND, INK, FAINT_INK = (250, 250, 248), (25, 25, 25), (95, 95, 95)
 
-FIELD_OF_VIEW = np.radians(22)  # across the height: about as one sees a thing on a table
-AZIMUTH, ELEVATION = np.radians(-62), np.radians(38)  # of the camera, seen from the object
-MARGIN = 1.06
-SMOOTH = 2  # each pixel is the mean of SMOOTH × SMOOTH rendered ones
 TONES = 0xFC  # 64 tones of each colour: no eye tells them from 256, and the file is a third smaller
 APART = 2.0  # [m] between objects, so that none is in another's picture
 
@@ -75,9 +74,7 @@ def contact_sheet() -> Image:
         InputError: if this machine cannot render.
     """
     tiles = [tile_image(tile) for tile in object_tiles(object_names())]
-    tiles += [_blank(TILE)] * (-len(tiles) % COLUMNS)
-    rows = [np.hstack(tiles[i : i + COLUMNS]) for i in range(0, len(tiles), COLUMNS)]
-    return np.asarray(np.vstack(rows) & TONES, dtype=np.uint8)
+    return np.asarray(in_rows(tiles, COLUMNS) & TONES, dtype=np.uint8)
 
 
 def object_tiles(names: list[str]) -> list[Tile]:
@@ -104,8 +101,8 @@ def object_tiles(names: list[str]) -> list[Tile]:
                 labels=label,
                 size=np.ptp(points, axis=0),
                 mass=plant.CalcTotalMass(plant.GetMyContextFromRoot(context), [looks[i]]),
-                look=_picture(query, points + np.array([0.0, i * APART, 0.0]), PICTURE),
-                parts=_picture(query, points + np.array([APART, i * APART, 0.0]), INSET),
+                look=picture(query, points + np.array([0.0, i * APART, 0.0]), PICTURE),
+                parts=picture(query, points + np.array([APART, i * APART, 0.0]), INSET),
             )
         )
     return tiles
@@ -156,57 +153,18 @@ def _points(plant: MultibodyPlant, scene_graph: SceneGraph, model: ModelInstance
     return np.vstack(points)
 
 
-def _picture(query: QueryObject, p_W: Array, size: tuple[int, int]) -> Image:
-    """Renders what lies at the points (N, 3), filling an image of ``size``, from three quarters."""
-    import cv2
-
-    width, height = SMOOTH * size[0], SMOOTH * size[1]
-    info = CameraInfo(width, height, FIELD_OF_VIEW)
-    back = np.array(
-        [
-            np.cos(ELEVATION) * np.cos(AZIMUTH),
-            np.cos(ELEVATION) * np.sin(AZIMUTH),
-            np.sin(ELEVATION),
-        ]
-    )
-    right = np.cross([0.0, 0.0, 1.0], back) / np.cos(ELEVATION)
-    R_WC = np.column_stack([right, np.cross(right, back), -back])
-    p_C = p_W @ R_WC
-    middle = (p_C.max(axis=0) + p_C.min(axis=0)) / 2
-    across = np.abs(p_C - middle) * [info.focal_x() / width * 2, info.focal_y() / height * 2, 0.0]
-    # As far as it takes for the widest point, at its own depth, to fit.
-    distance = np.max(MARGIN * across.max(axis=1) - (p_C - middle)[:, 2])
-    X_WC = RigidTransform(RotationMatrix(R_WC), R_WC @ (middle - [0.0, 0.0, distance]))
-    core = RenderCameraCore("vtk", info, ClippingRange(0.01, 10.0), RigidTransform())
-    frame = query.inspector().world_frame_id()
-    rendered = query.RenderColorImage(ColorRenderCamera(core), frame, X_WC).data[..., :3]
-    return np.asarray(cv2.resize(rendered, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
 def tile_image(tile: Tile) -> Image:
     """Draws the tile of one object."""
-    image = _blank(TILE)
+    image = blank(TILE)
     image[: PICTURE[1]] = tile.look
     image[-INSET[1] - 8 : -8, -INSET[0] - 8 : -8] = tile.parts
     length, width, height = 100 * tile.size
-    _write(image, tile.labels.object.replace("_", " "), PICTURE[1] + 22, INK, 0.62)
+    write_words(image, tile.labels.object.replace("_", " "), PICTURE[1] + 22, INK, 0.62)
     facts = f"{length:.1f} x {width:.1f} x {height:.1f} cm, {1000 * tile.mass:.0f} g"
-    _write(image, facts, PICTURE[1] + 42, FAINT_INK, 0.44)
+    write_words(image, facts, PICTURE[1] + 42, FAINT_INK, 0.44)
     for i, (part, color) in enumerate(zip(tile.labels.part_words, PART_COLORS, strict=False)):
         y = PICTURE[1] + 62 + 17 * i
         image[y - 10 : y, 12:22] = color
-        _write(image, part, y, INK, 0.44, x=28)
+        write_words(image, part, y, INK, 0.44, x=28)
     image[-1:] = image[:, -1:] = (225, 225, 222)  # a thin line between tiles
     return image
-
-
-def _blank(size: tuple[int, int]) -> Image:
-    return np.full((size[1], size[0], 3), GROUND, dtype=np.uint8)
-
-
-def _write(
-    image: Image, words: str, y: int, ink: tuple[int, int, int], scale: float, x: int = 12
-) -> None:
-    import cv2
-
-    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, ink, 1, cv2.LINE_AA)

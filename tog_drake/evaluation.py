@@ -39,6 +39,7 @@ TASKS = {
 # They do not read the task: one episode serves every task, and is judged for each.
 _TASK_BLIND = ("top-score", "random")
 
+Job = TypeVar("Job")
 T = TypeVar("T")
 _BATCH = 20  # episodes between two renewals of the workers
 
@@ -145,22 +146,22 @@ def evaluate(
     return records
 
 
-def in_processes(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
-    """Returns what ``work`` makes of each cell, in their order.
+def in_processes(work: Callable[[Job], T], jobs: Sequence[Job], workers: int) -> Iterator[T]:
+    """Returns what ``work`` makes of each job, in their order.
 
     Raises:
         TogError: a process died; and whatever ``work`` raises.
     """
-    for start in range(0, len(cells), _BATCH):
-        yield from _run_batch(work, cells[start : start + _BATCH], workers)
+    for start in range(0, len(jobs), _BATCH):
+        yield from _run_batch(work, jobs[start : start + _BATCH], workers)
 
 
-def _run_batch(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
+def _run_batch(work: Callable[[Job], T], jobs: Sequence[Job], workers: int) -> Iterator[T]:
     """Works in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
     with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
         try:
-            yield from pool.map(work, cells)
+            yield from pool.map(work, jobs)
         except BrokenProcessPool as error:
             raise TogError(
                 "a worker process died, perhaps for want of memory; try fewer --workers"

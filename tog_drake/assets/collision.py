@@ -7,18 +7,24 @@ those of other scanned objects alone (see ``stations.simulation``).
 """
 
 from collections.abc import Sequence
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tog_drake.assets.foreign import check_size
 from tog_drake.assets.mesh import Faces, Solid
 from tog_drake.errors import InputError
 from tog_drake.values import Array
 
 CORE_FACES = 1500
 """Measured: 400 turn a shape by 1-5 mm and let round ones rock, 3000 halve the speed."""
+FINE_FACES = 3000
+FACES_RANGE = (50, 20_000)  # of a core: below it is no solid, above it is a day's simulation
 MAX_PIECES = 64  # of a skin; each is tested against each of another object's
+MAX_PIECE_FILES = 1000
+_PIECES = ("collision/*.obj", "*_vhacd.stl", "*_col.obj")  # where scans keep them
 INSTALL = "pip install 'tog_drake[assets]'"
 
 Piece = tuple[Array, Faces]  # vertices (V, 3) [m] and triangles (F, 3) of a convex shape
@@ -28,13 +34,14 @@ def core_of(solid: Solid, faces: int = CORE_FACES) -> tuple[Array, Faces]:
     """Returns the surface with about ``faces`` triangles, by quadric decimation.
 
     Raises:
-        InputError: ``faces`` is too few for a solid.
+        InputError: ``faces`` is outside ``FACES_RANGE``.
     """
     import fast_simplification
     import trimesh
 
-    if faces < 50:
-        raise InputError(f"--faces must be at least 50, not {faces}")
+    low, high = FACES_RANGE
+    if not low <= faces <= high:
+        raise InputError(f"--faces must be from {low} to {high}, not {faces}")
     vertices, triangles = solid.vertices, solid.faces
     if len(triangles) > faces:
         # It works in single precision about the origin.
@@ -49,6 +56,18 @@ def core_of(solid: Solid, faces: int = CORE_FACES) -> tuple[Array, Faces]:
     return np.asarray(core.vertices, np.float64), np.asarray(core.faces, np.int64)
 
 
+def find_pieces(mesh: Path) -> list[Path]:
+    """Returns the files of convex pieces that lie beside a mesh, where scans keep them."""
+    folder = mesh.parent.resolve()
+    for pattern in _PIECES:
+        found = (path for path in folder.glob(pattern) if path.name != mesh.name)
+        inside = (path for path in found if path.resolve().is_relative_to(folder))
+        files = sorted(islice(inside, MAX_PIECE_FILES + 1))
+        if files:
+            return files
+    return []
+
+
 def read_pieces(paths: Sequence[Path], scale: float, turn: Array) -> list[Piece]:
     """Reads the convex pieces that come with a scan: one file each, or all in one file.
 
@@ -60,22 +79,66 @@ def read_pieces(paths: Sequence[Path], scale: float, turn: Array) -> list[Piece]
         turn: (3, 3) from the files' axes to the object's.
 
     Raises:
-        InputError: a file cannot be read, or holds no closed piece.
+        InputError: there are too many files, one cannot be read, or holds no closed piece.
     """
-    import trimesh
-
+    if len(paths) > MAX_PIECE_FILES:
+        raise InputError(
+            f"{paths[0].parent} holds more than {MAX_PIECE_FILES} collision pieces; merge or "
+            "remove some"
+        )
     pieces = []
     for path in paths:
+        check_size(path)
         try:
-            mesh = trimesh.load(path, force="mesh", process=False)
-            triangles = np.asarray(mesh.triangles, np.float64)
+            triangles = _obj_triangles(path) if path.suffix == ".obj" else _stl_triangles(path)
+            found = [_hull(piece * scale @ turn.T) for piece in cut_in_file_order(triangles)]
         except Exception as error:  # as in read_mesh
             raise InputError(f"cannot read the collision pieces {path}: {error}") from error
-        found = [_hull(piece * scale @ turn.T) for piece in cut_in_file_order(triangles)]
         if not found:
             raise InputError(f"{path} holds no closed collision piece")
-        pieces += found
+        pieces += [piece for piece in found if piece is not None]
     return _largest(pieces)
+
+
+def _stl_triangles(path: Path) -> Array:
+    import trimesh
+
+    with path.open("rb") as file:
+        mesh: Any = trimesh.load(file, file_type="stl", force="mesh", process=False)
+    return np.asarray(mesh.triangles, np.float64)
+
+
+def _obj_triangles(path: Path) -> Array:
+    """(T, 3, 3) in the order of the file.
+
+    trimesh would put the second halves of all quads behind all first ones, and no piece would be
+    closed before the last.
+    """
+    vertices: list[list[float]] = []
+    corners: list[int] = []
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            word, *rest = line.split() or [""]
+            if word == "v":
+                vertices.append([float(number) for number in rest[:3]])
+            elif word == "f":
+                rows = [int(corner.split("/")[0]) for corner in rest]
+                rows = [row - 1 if row > 0 else len(vertices) + row for row in rows]
+                for second, third in pairwise(rows[1:]):
+                    corners += [rows[0], second, third]
+    return np.array(vertices, np.float64).reshape(-1, 3)[corners].reshape(-1, 3, 3)
+
+
+def fits(pieces: Sequence[Piece], solid: Solid) -> bool:
+    """Whether pieces fill the same box as a solid, to a twelfth of its diagonal or 5 mm."""
+    if not pieces:
+        return False
+    points = np.vstack([vertices for vertices, _ in pieces])
+    off = max(
+        np.abs(points.min(axis=0) - solid.vertices.min(axis=0)).max(),
+        np.abs(points.max(axis=0) - solid.vertices.max(axis=0)).max(),
+    )
+    return bool(off <= max(0.005, 0.08 * np.linalg.norm(np.ptp(solid.vertices, axis=0))))
 
 
 def cut_in_file_order(triangles: Array) -> list[Array]:
@@ -113,13 +176,21 @@ def decompose(solid: Solid) -> list[Piece]:
     parts = coacd.run_coacd(
         coacd.Mesh(solid.vertices, solid.faces), threshold=0.1, max_convex_hull=32, seed=0
     )
-    return _largest([_hull(np.asarray(vertices)) for vertices, _ in parts])
+    hulls = [_hull(np.asarray(vertices)) for vertices, _ in parts]
+    return _largest([hull for hull in hulls if hull is not None])
 
 
-def _hull(points: Array) -> Piece:
+def _hull(points: Array) -> Piece | None:
+    """The convex hull of points (N, 3); None where they fill no space."""
     import trimesh
+    from scipy.spatial import QhullError
 
-    hull = trimesh.convex.convex_hull(points)
+    if not np.isfinite(points).all():
+        raise InputError("it holds vertices that are not numbers")
+    try:
+        hull = trimesh.convex.convex_hull(points)
+    except QhullError:
+        return None
     return np.asarray(hull.vertices, np.float64), np.asarray(hull.faces, np.int64)
 
 

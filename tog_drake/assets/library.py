@@ -12,6 +12,8 @@ from tog_drake.errors import InputError
 
 VARIABLE = "TOG_ASSETS"  # environment variable that names another folder
 REPORT = "report.json"
+PREVIEW = "preview.png"
+PARTS = "parts.yaml"  # part labels beside a model
 PACKAGE = "tog_assets"  # package://tog_assets/NAME/model.sdf in scenarios
 MAX_REPORT_BYTES = 1_000_000
 

@@ -13,18 +13,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from tog_drake.assets.foreign import image_of, load_meshes
 from tog_drake.errors import InputError
 from tog_drake.values import Array
 
 FORMATS = (".obj", ".gltf", ".glb", ".ply", ".stl")
-MAX_FILE_BYTES = 500_000_000
-MAX_FACES = 5_000_000
-MAX_TEXTURE_PIXELS = 200_000_000
 # What a hand of 8 cm may want to grasp, with a wide margin [m]: the longest side.
 PLAUSIBLE_EXTENT = (0.01, 2.0)
+MIN_THICKNESS = 0.0002  # [m] what is thinner is a picture of a thing
 SLIVER = 8  # faces: a component with no more is debris of the scan (YCB has some of two)
+GREY = (160, 160, 160)
 
 Faces = NDArray[np.int64]
+Axis = Literal["z", "y"]
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,9 @@ class ScannedMesh:
     faces: Faces  # (F, 3) rows of vertices, counter-clockwise seen from outside
     uv: Array | None  # (V, 2) in the texture, its origin at the lower left; None: not textured
     texture: Any  # PIL image, or None
-    color: tuple[int, int, int]  # RGB where there is no texture
+    color: tuple[int, int, int]  # RGB where there is neither texture nor colors
+    colors: NDArray[np.uint8] | None = None  # (V, 3) RGB of each vertex, where there is no texture
+    notes: tuple[str, ...] = ()  # what is to be said of the file
 
 
 @dataclass(frozen=True)
@@ -49,13 +52,23 @@ class Solid:
     volume: float  # [m³] of the surface, or of its convex hull where it is not watertight
 
 
-def read_mesh(path: Path, *, scale: float = 1.0, up: Literal["z", "y"] = "z") -> ScannedMesh:
+def up_axis(path: Path) -> Axis:
+    """Returns which axis points up where nobody says: glTF is y-up by its standard."""
+    return "y" if path.suffix.lower() in (".gltf", ".glb") else "z"
+
+
+def turn_from(up: Axis) -> Array:
+    """Returns the rotation (3, 3) from axes of a file to those of an object, whose z is up."""
+    return np.eye(3) if up == "z" else np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def read_mesh(path: Path, *, scale: float = 1.0, up: Axis | None = None) -> ScannedMesh:
     """Reads OBJ, glTF, GLB, PLY or STL, with its MTL and textures.
 
     Args:
         path: the file; what it refers to must lie in its folder.
         scale: metres per unit of the file.
-        up: which axis of the file points up; y is turned to z.
+        up: which axis of the file points up, y is turned to z; None: see ``up_axis``.
 
     Raises:
         InputError: there is no such file, it holds no surface, or its size makes no sense.
@@ -64,25 +77,25 @@ def read_mesh(path: Path, *, scale: float = 1.0, up: Literal["z", "y"] = "z") ->
 
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path} is no mesh that is read here; valid: {', '.join(FORMATS)}")
-    if not path.is_file():
-        raise InputError(f"there is no file {path}")
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise InputError(f"{path} has more than {MAX_FILE_BYTES} bytes; decimate it first")
     if not (np.isfinite(scale) and scale > 0):
         raise InputError(f"--scale must be above 0, not {scale:g}")
     with _understood(path):
-        mesh = trimesh.load(path, force="mesh", process=False)
-    if not isinstance(mesh, trimesh.Trimesh) or not 0 < len(mesh.faces) <= MAX_FACES:
-        raise InputError(f"{path} holds no surface of 1 to {MAX_FACES} triangles")
-    vertices = np.asarray(mesh.vertices, np.float64) * scale
-    if not np.isfinite(vertices).all():
-        raise InputError(f"{path} holds vertices that are not numbers")
-    if up == "y":
-        vertices = vertices @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+        meshes, missing = load_meshes(path)
+        if not meshes:
+            raise InputError("it holds no surface")
+        mesh: Any = meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+        vertices = np.asarray(mesh.vertices, np.float64) * scale
+        faces = np.asarray(mesh.faces, np.int64)
+        if not np.isfinite(vertices).all():
+            raise InputError("it holds vertices that are not numbers")
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise InputError("it holds triangles of vertices that are not there")
+        look = _appearance(mesh)
     check_extent(path, np.ptp(vertices, axis=0), scale)
-    with _understood(path):
-        uv, texture, color = _appearance(mesh)
-    return ScannedMesh(vertices, np.asarray(mesh.faces, np.int64), uv, texture, color)
+    notes = tuple(
+        f"{name!r:.200} is not in its folder: what it shows is left out" for name in missing
+    )
+    return ScannedMesh(vertices @ turn_from(up or up_axis(path)).T, faces, *look, notes)
 
 
 @contextmanager
@@ -90,8 +103,12 @@ def _understood(path: Path) -> Iterator[None]:
     """Turns whatever a reader of foreign files may raise into what a person understands."""
     try:
         yield
-    except InputError:
-        raise
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"cannot read {path}: {error}") from error
+    except MemoryError as error:
+        raise InputError(f"cannot read {path}: it asks for more memory than there is") from error
     except Exception as error:  # readers of half a dozen formats raise anything
         raise InputError(f"cannot read {path}: {type(error).__name__}: {error}") from error
 
@@ -102,7 +119,7 @@ def check_extent(path: Path, extent: Array, scale: float) -> None:
     longest = float(extent.max())
     if low <= longest <= high:
         return
-    tries = [s for s in (0.001, 0.01, 0.0254, 1.0, 100.0, 1000.0) if low <= longest * s <= high]
+    tries = [s for s in (0.001, 0.01, 0.0254, 100.0, 1000.0) if low <= longest * s <= high]
     hint = " or ".join(f"--scale {scale * s:g}" for s in tries) or "give the right --scale"
     raise InputError(
         f"{path} would be {longest:.3g} m long: is it in millimetres, centimetres or inches? "
@@ -110,23 +127,20 @@ def check_extent(path: Path, extent: Array, scale: float) -> None:
     )
 
 
-def _appearance(mesh: Any) -> tuple[Array | None, Any, tuple[int, int, int]]:
-    """Texture coordinates and image, or one colour."""
+def _appearance(
+    mesh: Any,
+) -> tuple[Array | None, Any, tuple[int, int, int], NDArray[np.uint8] | None]:
+    """Texture coordinates and image, or one colour, or the colours of vertices."""
     visual = mesh.visual
-    material = getattr(visual, "material", None)
-    uv = getattr(visual, "uv", None)
-    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
-    if image is not None and image.size[0] * image.size[1] > MAX_TEXTURE_PIXELS:
-        raise InputError(
-            f"its texture has {image.size[0]}×{image.size[1]} pixels; that is too many"
-        )
+    image, uv = image_of(mesh), getattr(visual, "uv", None)
     if uv is not None and image is not None and np.isfinite(uv).all():
-        return np.asarray(uv, np.float64), image, (255, 255, 255)
-    main = np.asarray(getattr(material, "main_color", None) or (160, 160, 160))
-    if visual.kind == "vertex":
-        main = np.asarray(visual.vertex_colors).mean(axis=0)
-    red, green, blue = (int(c) for c in main[:3])
-    return None, None, (red, green, blue)
+        image.load()  # to hear now that it is broken
+        return np.asarray(uv, np.float64), image, GREY, None
+    if visual.kind in ("vertex", "face"):
+        return None, None, GREY, np.asarray(visual.vertex_colors, np.uint8)[:, :3]
+    main = getattr(getattr(visual, "material", None), "main_color", None)
+    red, green, blue = (int(c) for c in (GREY if main is None else main[:3]))
+    return None, None, (red, green, blue), None
 
 
 def solid_of(mesh: ScannedMesh) -> Solid:
@@ -135,7 +149,7 @@ def solid_of(mesh: ScannedMesh) -> Solid:
     A surface that winds inwards is turned over. Holes are not closed.
 
     Raises:
-        InputError: nothing is left.
+        InputError: nothing is left, or it is flat.
     """
     import trimesh
 
@@ -143,26 +157,51 @@ def solid_of(mesh: ScannedMesh) -> Solid:
     merged.merge_vertices(merge_tex=True, merge_norm=True)
     before = len(merged.faces)
     merged.update_faces(merged.nondegenerate_faces() & merged.unique_faces())
-    components = trimesh.graph.connected_components(
-        merged.face_adjacency, nodes=np.arange(len(merged.faces)), min_len=SLIVER + 1
-    )
-    if not len(components):
-        raise InputError(
-            f"the mesh is made of {len(merged.faces)} loose triangles: nothing of it is a surface"
-        )
-    kept = np.zeros(len(merged.faces), bool)
-    kept[np.concatenate(components)] = True
-    merged.update_faces(kept)
+    merged.update_faces(_without_debris(merged))
     merged.remove_unreferenced_vertices()
+    thickness = _thickness(np.asarray(merged.vertices))
+    if thickness < MIN_THICKNESS:
+        raise InputError(
+            f"the mesh is flat ({1000 * thickness:.2g} mm thick), which fills no space; give it "
+            f"a thickness of {1000 * MIN_THICKNESS:g} mm or more"
+        )
     if not merged.is_winding_consistent:
         merged.fix_normals()
     if merged.is_watertight and merged.volume < 0:
         merged.invert()
-    watertight = bool(merged.is_watertight and merged.is_winding_consistent)
+    hull = float(merged.convex_hull.volume)
+    watertight = bool(
+        merged.is_watertight and merged.is_winding_consistent and 0 < merged.volume <= 1.001 * hull
+    )
     return Solid(
         np.asarray(merged.vertices, np.float64),
         np.asarray(merged.faces, np.int64),
         watertight,
         before - len(merged.faces),
-        float(merged.volume if watertight else merged.convex_hull.volume),
+        float(merged.volume) if watertight else hull,
     )
+
+
+def _without_debris(merged: Any) -> NDArray[np.bool_]:
+    """(F,) the faces of connected pieces that are no slivers; the largest piece is none."""
+    import trimesh
+
+    kept = np.zeros(len(merged.faces), bool)
+    pieces = trimesh.graph.connected_components(
+        merged.face_adjacency, nodes=np.arange(len(kept)), min_len=1
+    )
+    largest = max(map(len, pieces), default=0)
+    if largest < 2:
+        raise InputError(
+            f"the mesh is made of {len(kept)} loose triangles: nothing of it is a surface"
+        )
+    least = min(SLIVER + 1, largest)
+    kept[np.concatenate([piece for piece in pieces if len(piece) >= least])] = True
+    return kept
+
+
+def _thickness(vertices: Array) -> float:
+    """[m] along the direction in which the vertices (V, 3) spread least."""
+    spread = vertices - vertices.mean(axis=0)
+    thinnest = np.linalg.eigh(spread.T @ spread)[1][:, 0]
+    return float(np.ptp(spread @ thinnest))

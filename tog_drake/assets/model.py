@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from pydrake.multibody.tree import RotationalInertia, SpatialInertia
 
 from tog_drake.assets.collision import Piece
 from tog_drake.assets.mesh import Faces, Solid
 from tog_drake.assets.visual import VISUAL
+from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 from tog_drake.values import Array
 
@@ -21,6 +24,7 @@ CORE, SKIN = "core", "skin"
 FRICTION = 0.8
 DISSIPATION = 1.25  # [s/m]
 SKIN_MODULUS = 1e7  # [Pa]
+_WHY = "which is more than it fills: the surface is not closed"
 DENSITY = 400.0  # [kg/m³] where nobody says: between a hollow toy and a full bottle
 
 
@@ -38,22 +42,44 @@ def inertia_of(solid: Solid, pieces: list[Piece], *, mass: float | None, density
     """Integrates a solid of even density.
 
     One that is not watertight has no volume: its convex pieces stand for it, or its convex hull.
+
+    Raises:
+        InputError: not even its hull has the mass properties of a body.
     """
     import trimesh
 
-    body, how = trimesh.Trimesh(solid.vertices, solid.faces, process=False), "its surface"
-    if not solid.watertight:
-        body, how = body.convex_hull, "its convex hull: the surface is not closed"
-        if pieces:
-            parts = [trimesh.Trimesh(*piece, process=False) for piece in pieces]
-            body = trimesh.util.concatenate(parts)
-            how = "its convex pieces, which overlap a little: the surface is not closed"
+    surface = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    bodies = [(surface, "its surface")] if solid.watertight else []
+    if pieces:
+        parts = [trimesh.Trimesh(*piece, process=False) for piece in pieces]
+        bodies.append((trimesh.util.concatenate(parts), f"the sum of its convex pieces, {_WHY}"))
+    bodies.append((surface.convex_hull, f"its convex hull, {_WHY}"))
+    for body, how in bodies:
+        inertia = _integrate(body, how, mass, density)
+        if _can_be(inertia):
+            return inertia
+    raise InputError("no body of even density has this shape; mend the mesh")
+
+
+def _integrate(body: Any, how: str, mass: float | None, density: float) -> Inertia:
     volume = float(body.volume)
-    mass = density * volume if mass is None else mass
-    body.density = mass / volume
-    return Inertia(
-        mass, np.asarray(body.center_mass, float), np.asarray(body.moment_inertia, float), how
-    )
+    if mass is None:
+        mass = density * volume
+    body.density = mass / volume if volume > 0 else 0.0
+    return Inertia(mass, np.asarray(body.center_mass), np.asarray(body.moment_inertia), how)
+
+
+def _can_be(inertia: Inertia) -> bool:
+    """Whether Drake takes it for a body's: surfaces that cross themselves may add up to none."""
+    m = inertia.moments
+    if not (inertia.mass > 0 and np.isfinite(m).all() and np.isfinite(inertia.center).all()):
+        return False
+    try:
+        moments = RotationalInertia(m[0, 0], m[1, 1], m[2, 2], m[0, 1], m[0, 2], m[1, 2])
+        SpatialInertia.MakeFromCentralInertia(inertia.mass, inertia.center, moments)
+    except (RuntimeError, SystemExit):  # as conditions of Drake end where they do not hold
+        return False
+    return bool(np.linalg.eigvalsh(m)[0] > 0)
 
 
 def write_model(
