@@ -9,7 +9,7 @@ import tarfile
 import zipfile
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tog_drake.assets.archive import Limits, extract
@@ -193,17 +193,32 @@ def test_what_hides_in_a_folder_s_size_or_behind_the_end_counts_too(room):
     folder = special(tarfile.DIRTYPE, "a")
     folder.size = 12_000_000
     whole = gzip.compress(folder.tobuf() + bytes(13_000_000))
-    with pytest.raises(InputError, match=r"bomb|link"):
+    with pytest.raises(InputError, match="bomb"):
         attempt(room, whole)
     with pytest.raises(InputError, match="bomb"):
         attempt(room, gzip.compress(gzip.decompress(tgz(("a", b"1"))) + bytes(12_000_000)))
+
+
+def test_a_file_whose_size_is_below_nothing_is_refused(room):
+    member = tarfile.TarInfo("a")
+    member.size = -512  # its end would be its beginning: readers have gone round for ever
+    first = tarfile.TarInfo("first").tobuf()
+    with pytest.raises(InputError, match="overlap"):
+        attempt(room, gzip.compress(first + member.tobuf(tarfile.GNU_FORMAT) + bytes(1024)))
+
+
+def test_the_holes_of_a_sparse_file_count(room):
+    member = tarfile.TarInfo("a")
+    member.pax_headers = {"GNU.sparse.map": "0,0", "GNU.sparse.size": str(10**12)}
+    with pytest.raises(InputError, match="bomb"):
+        attempt(room, tgz(member, format=tarfile.PAX_FORMAT))
 
 
 def test_a_header_that_claims_gigabytes_is_not_read_into_memory(room):
     header = special(tarfile.XHDTYPE, "x")
     header.size = 4 * 2**30
     data = gzip.compress(header.tobuf(tarfile.GNU_FORMAT) + bytes(2_000_000))
-    with pytest.raises(InputError, match=r"longer than any|link"):
+    with pytest.raises(InputError, match="longer than any"):
         attempt(room, data)
 
 
@@ -284,6 +299,10 @@ def zips(draw):
     return bytes(data)
 
 
+# Its directory lies before its beginning.
+BEFORE = b"PK\x03\x04PK\x01\x02".ljust(50, b"\0") + b"PK\x05\x06".ljust(12, b"\0")
+BEFORE += b"\x2f\0\0\0\0\0\0\x01\0\0"
+
 ANY = st.one_of(
     st.binary(max_size=200),
     st.binary(max_size=200).map(lambda data: b"PK\x03\x04" + data),
@@ -296,6 +315,7 @@ ANY = st.one_of(
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@example(data=BEFORE)
 @given(data=ANY)
 def test_any_bytes_land_in_their_folder_or_are_refused(tmp_path_factory, data):
     room = tmp_path_factory.mktemp("any") / "room"

@@ -152,6 +152,17 @@ def test_nor_that_of_another_server(server, file):
     assert file.read_bytes() == OTHER
 
 
+def test_a_rest_that_ends_early_goes_on(server, file):
+    def part_of_the_rest(handler):
+        begun = int(handler.headers["Range"].removeprefix("bytes=").removesuffix("-"))
+        told = {"Content-Range": f"bytes {begun}-{len(DATA) - 1}/{len(DATA)}"}
+        handler.answer(206, DATA[begun : begun + 1000], told)
+
+    server.misbehave(cut(100_000), part_of_the_rest)
+    assert download(server.url + PATH, file) == SHA256
+    assert len(server.asked) == 3
+
+
 @pytest.mark.parametrize("answer", [wrong_range, status(416)])
 def test_a_wrong_rest_begins_again(server, file, answer):
     server.misbehave(cut(100_000), answer)
@@ -233,6 +244,8 @@ def test_too_large_is_refused_whether_announced_or_not(server, file, mishap):
         download(server.url + PATH, file, limit=50_000, progress=lambda *x: told.append(x))
     assert names(file) == []
     assert all(done <= 50_000 for done, _ in told)
+    if mishap is None:  # announced: nothing of it is taken
+        assert told == []
 
 
 @pytest.mark.parametrize("mishap", [hang, trickle])

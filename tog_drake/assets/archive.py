@@ -173,19 +173,15 @@ class _Careful(io.RawIOBase):
         data = self._file.read(min(limit, _LONGEST_READ + 1))
         if len(data) > _LONGEST_READ:
             raise InputError("a header or directory in it is longer than any that is needed")
-        self._check(self._file.tell())
+        if self._end is not None and self._file.tell() > self._end:
+            raise InputError(_BOMB)
         return data
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        if whence == io.SEEK_SET:
-            if offset < 0 or (self._end is not None and offset < self._file.tell()):
-                raise InputError("its entries overlap")
-            self._check(offset)
+        first = 0 if self._end is None else self._file.tell()
+        if whence == io.SEEK_SET and offset < first:
+            raise InputError("its entries overlap")
         return self._file.seek(offset, whence)
-
-    def _check(self, offset: int) -> None:
-        if self._end is not None and offset > self._end:
-            raise InputError(_BOMB)
 
     def tell(self) -> int:
         return self._file.tell()
@@ -202,7 +198,7 @@ def _tar_entries(file: IO[bytes], allowed: int) -> Iterator[_Entry]:
         reader = _Careful(unpacked, end=allowed + _LONGEST_READ)
         with tarfile.open(fileobj=reader, mode="r:", errorlevel=2) as tar:
             while (member := tar.next()) is not None:
-                if member.type not in _PLAIN or member.issparse():
+                if member.type not in _PLAIN:
                     raise InputError(f"{quoted(member.name)} in it is a link, a device or the like")
                 content = None if member.isdir() else tar.extractfile(member)
                 yield _Entry(member.name, member.isdir(), content)
@@ -217,8 +213,6 @@ def _zip_entries(file: IO[bytes]) -> Iterator[_Entry]:
             mode = member.external_attr >> 16
             if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
                 raise InputError(f"{quoted(name)} in it is a link, a device or the like")
-            if member.flag_bits & 1:
-                raise InputError("it is encrypted")
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise InputError(f"{quoted(name)} in it is packed in a way that is not read here")
             if name.endswith("/"):

@@ -176,7 +176,6 @@ def _attempt(part: Path, url: str, limit: int, progress: Progress | None) -> Non
         if not done:
             _begin(part, url, response)
         with part.open("r+b" if done else "wb") as file:
-            file.truncate(done)
             file.seek(done)
             for chunk in arriving:
                 done += len(chunk)
