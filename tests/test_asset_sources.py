@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tog_drake.assets import download as downloading
+from tog_drake.assets import fetching, importing
 from tog_drake.assets.fetching import downloads_dir, fetch
 from tog_drake.assets.library import asset_dir, checked_name, read_report, remove_asset
 from tog_drake.assets.sources import SOURCES, read_spec
@@ -99,6 +100,7 @@ def gso_archive(surface, image, root=""):
 def _own_library(tmp_path, monkeypatch):
     monkeypatch.setenv("TOG_ASSETS", str(tmp_path / "library"))
     monkeypatch.setattr(downloading, "FIRST_DELAY", 0.001)
+    monkeypatch.setattr(importing, "write_preview", lambda *a: None)  # half of the time it takes
 
 
 @pytest.fixture
@@ -218,6 +220,7 @@ def test_objects_arrive_textured_with_their_mass_and_their_licence(scans):
         for word in (author, "CC BY 4.0", "creativecommons.org", sha256, remote.url, "Changes"):
             assert word in licence
     assert read_report("ycb_048_hammer")["mass"] == pytest.approx(0.665)
+    assert not list(downloads_dir().parent.glob(".*.tmp"))
     left = sorted(path.name for path in downloads_dir().iterdir())
     names = ["gso_Schleich_Lion_Action_Figure.zip", "ycb_048_hammer.tgz"]
     assert left == sorted([*names, *(f"{name}.sha256" for name in names)])
@@ -329,6 +332,15 @@ def test_the_command_says_what_became_of_each_and_prints_one_json_object(scans):
 def test_a_name_that_is_none_is_wrong_input_and_nothing_is_done(scans):
     refused(tog("assets", "fetch", LION, "lion"), "'lion' is no object to fetch", "ycb:048_hammer")
     assert scans.asked == []
+
+
+def test_pieces_are_cut_where_that_is_asked_for(scans, monkeypatch):
+    asked = []
+    cut = lambda path, name, options: asked.append(options.decompose) or {"notes": []}  # noqa: E731
+    monkeypatch.setattr(fetching, "import_mesh", cut)
+    assert tog("assets", "fetch", HAMMER, "--decompose").status == 0
+    assert tog("assets", "fetch", HAMMER).status == 0
+    assert asked == [True, False]
 
 
 def test_an_overloaded_server_is_one_line(scans):

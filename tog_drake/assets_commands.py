@@ -90,6 +90,9 @@ def fetch(
     force: Annotated[
         bool, typer.Option("--force", help="Download and import again what is there already.")
     ] = False,
+    decompose: Annotated[
+        bool, typer.Option(help="Cut convex pieces, which none of them has: seconds to minutes.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Download scanned objects from their official servers and import them. Exit 1: not all."""
@@ -112,8 +115,12 @@ def fetch(
             report = fetched.report
             how = fetched.message if report is None else line_of(report)
             say(console, f"{fetched.asset}: {fetched.status}{how and ', ' + how}")
+            for note in report["notes"] if report is not None else ():
+                say(console, f"  note: {note}")
 
-        done = fetching.fetch(objects, force=force, progress=progress, tell=tell)
+        done = fetching.fetch(
+            objects, force=force, decompose=decompose, progress=progress, tell=tell
+        )
     print_json(as_json, {fetched.asset: vars(fetched) for fetched in done})
     raise typer.Exit(1 if any(fetched.status == "failed" for fetched in done) else 0)
 

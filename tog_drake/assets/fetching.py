@@ -1,10 +1,11 @@
 """From the names of published scans to imported objects: download, unpack, import, say whose."""
 
+import os
 import shutil
-import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 from tog_drake.assets.archive import extract
@@ -38,6 +39,7 @@ def fetch(
     specs: Sequence[str],
     *,
     force: bool = False,
+    decompose: bool = False,
     progress: Progress | None = None,
     tell: Callable[[Fetched], None] | None = None,
 ) -> list[Fetched]:
@@ -46,6 +48,7 @@ def fetch(
     Args:
         specs: see ``read_spec``.
         force: downloads and imports also what is there already.
+        decompose: cuts convex pieces, which none of the archives holds: seconds to minutes.
         progress: is told of every piece that arrives.
         tell: is told of every object when it is over.
 
@@ -55,62 +58,73 @@ def fetch(
     """
     remotes = [read_spec(spec) for spec in dict.fromkeys(specs)]
     present = frozenset() if force else frozenset(asset_names())
-    gone: dict[str, Unreachable] = {}  # by collection's title
+    run = _Run(force, decompose, progress)
     done = []
     for remote in remotes:
         if remote.asset in present:
             fetched = Fetched(remote.spec, remote.asset, "present")
         else:
-            fetched = _fetched(remote, force, progress, gone)
+            fetched = run.fetch(remote)
         done.append(fetched)
         if tell is not None:
             tell(fetched)
     return done
 
 
-def _fetched(
-    remote: Remote, force: bool, progress: Progress | None, gone: dict[str, Unreachable]
-) -> Fetched:
-    try:
-        report = _fetch(remote, force, progress, gone)
-    except Unreachable as error:
-        gone[remote.source.title] = error
-        return Fetched(remote.spec, remote.asset, "failed", str(error))
-    except InputError as error:
-        return Fetched(remote.spec, remote.asset, "failed", str(error))
-    return Fetched(remote.spec, remote.asset, "imported", report=report)
+@dataclass
+class _Run:
+    """What the objects of one call have in common."""
 
+    force: bool
+    decompose: bool
+    progress: Progress | None
+    gone: dict[str, str] = field(default_factory=dict)  # collections' hosts without a connection
 
-def _fetch(
-    remote: Remote, force: bool, progress: Progress | None, gone: dict[str, Unreachable]
-) -> dict[str, Any]:
-    url, source = remote.url, remote.source
-    archive = downloads_dir() / f"{remote.asset}{PurePosixPath(source.archive).suffix}"
-    known_gone = gone.get(remote.source.title)
-    if known_gone is not None and (force or recorded_sha256(archive) is None):
-        raise InputError(f"not tried, because there is no connection to {known_gone.host}")
-    try:
-        sha256 = download(
-            url,
-            archive,
-            force=force,
-            progress=progress and (lambda done, total: progress(remote.spec, done, total)),
-        )
-    except Missing as error:
-        raise InputError(f"{error}. Names: {source.catalogue}") from error
-    with tempfile.TemporaryDirectory(prefix=".unpacked-", dir=downloads_dir()) as folder:
-        unpacked = Path(folder) / remote.asset
+    def fetch(self, remote: Remote) -> Fetched:
         try:
-            extract(archive, unpacked)
-        except InputError:
-            discard(archive)  # or it would be taken for good the next time
-            raise
-        mesh = _mesh_in(unpacked, remote)
-        (mesh.parent / LICENCE).write_text(remote.licence_text(sha256), encoding="utf-8")
-        options = ImportOptions(
-            scale=source.scale, up=source.up, mass=remote.mass, source=remote.provenance(sha256)
-        )
-        return import_mesh(mesh, remote.asset, options)
+            archive = downloads_dir() / remote.archive
+            report = self._import(remote, archive, self._download(remote, archive))
+        except InputError as error:
+            if isinstance(error, Unreachable):
+                self.gone[remote.source.title] = error.host
+            return Fetched(remote.spec, remote.asset, "failed", str(error))
+        return Fetched(remote.spec, remote.asset, "imported", report=report)
+
+    def _download(self, remote: Remote, archive: Path) -> str:
+        """Returns the SHA-256 of the archive, which is there then."""
+        url, host = remote.url, self.gone.get(remote.source.title)
+        if host is not None and (self.force or recorded_sha256(archive) is None):
+            raise InputError(f"not tried, because there is no connection to {host}")
+
+        def progress(done: int, total: int | None) -> None:
+            if self.progress is not None:
+                self.progress(remote.spec, done, total)
+
+        try:
+            return download(url, archive, force=self.force, progress=progress)
+        except Missing as error:
+            raise InputError(f"{error}. Names: {remote.source.catalogue}") from error
+
+    def _import(self, remote: Remote, archive: Path, sha256: str) -> dict[str, Any]:
+        # By this name the folder is swept up if the process is killed: see importing.sweep.
+        prefix = f".{os.getpid()}-"
+        with TemporaryDirectory(prefix=prefix, suffix=".tmp", dir=library_dir()) as folder:
+            unpacked = Path(folder) / remote.asset
+            try:
+                extract(archive, unpacked)
+            except InputError:
+                discard(archive)  # or it would be taken for good the next time
+                raise
+            mesh = _mesh_in(unpacked, remote)
+            (mesh.parent / LICENCE).write_text(remote.licence_text(sha256), encoding="utf-8")
+            options = ImportOptions(
+                scale=remote.source.scale,
+                up=remote.source.up,
+                mass=remote.mass,
+                decompose=self.decompose,
+                source=remote.provenance(sha256),
+            )
+            return import_mesh(mesh, remote.asset, options)
 
 
 def _mesh_in(folder: Path, remote: Remote) -> Path:

@@ -8,6 +8,7 @@ checksums. Both are CC BY 4.0: who uses them names their authors, so that is sto
 import os
 import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
 
@@ -117,6 +118,11 @@ class Remote:
             InputError: no server hands it out, or the mirror's URL is none.
         """
         return f"{_base(self)}/{self.source.archive.format(name=self.name)}"
+
+    @property
+    def archive(self) -> str:
+        """Name of the file that its archive is kept in."""
+        return self.asset + Path(self.source.archive).suffix
 
     @property
     def mesh(self) -> str:
