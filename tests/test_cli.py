@@ -15,7 +15,7 @@ import typer
 import yaml
 from command import refused, tog
 
-from tog_drake import cli, evaluation
+from tog_drake import cli, evaluation, summary
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import scenario_files
@@ -464,7 +464,7 @@ def test_the_parts_are_named_in_turn_by_the_seed():
 def test_groups_stand_for_all_single_objects_and_all_clutter():
     objects, clutter = (evaluation.scenario_names([group]) for group in ("objects", "clutter"))
     assert clutter == list(evaluation.CLUTTER)
-    assert set(objects) == set(scenario_files()) - set(clutter)
+    assert set(objects) == set(scenario_files()) - set(clutter) - set(evaluation.SCANNED)
 
 
 def test_eval_refuses_an_unknown_kind_of_task(tmp_path):
@@ -491,7 +491,8 @@ def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):
 def _episode(scenario, selector, outcome, compliance=True, seed=0):
     lifted = outcome == "lifted"
     return {
-        "object": "thing", "seed": seed,
+        "object": "thing", "seed": seed, "task": "use it", "message": None, "held": {},
+        "closes_on": None,
         "scenario": scenario, "selector": {"kind": selector}, "vlm": None, "outcome": outcome,
         "grasp_success": lifted, "task_compliance": compliance,
         "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
@@ -506,7 +507,7 @@ def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
         _episode("Mug", "random", "no_grasp", compliance=False, seed=1),
         _episode("Hammer", "oracle", "lifted"),
     ]
-    rows = {(r["selector"], r["scenario"]): r for r in evaluation.summarize(records)}
+    rows = {(r["selector"], r["scenario"]): r for r in summary.summarize(records)}
     assert list(rows) == [
         ("random", "Hammer"), ("random", "Mug"), ("random", "all"),
         ("oracle", "Hammer"), ("oracle", "all"),
@@ -526,13 +527,13 @@ def test_an_episode_that_serves_two_tasks_is_one_grasp():
         _episode("Hammer", "top-score", "lifted", compliance=False),
         _episode("Hammer", "top-score", "empty", compliance=False, seed=1),
     ]
-    row, _ = evaluation.summarize(records)
+    row, _ = summary.summarize(records)
     assert (row["n"], row["tasks"]) == (2, 3)
     assert (row["grasp"], row["both"], row["failures"]) == (0.5, 1 / 3, "1 empty")
 
 
 def test_intervals_are_wilsons():
     # Worked by hand: (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n), p = 0.9, n = 10, z = 1.96.
-    low, high = evaluation.wilson(9, 10)
+    low, high = summary.wilson(9, 10)
     assert (low, high) == pytest.approx((0.5958, 0.9821), abs=1e-4)
-    assert evaluation.wilson(10, 10)[1] == 1.0
+    assert summary.wilson(10, 10)[1] == 1.0

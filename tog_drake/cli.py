@@ -38,6 +38,7 @@ from tog_drake.options import (
 from tog_drake.terminal import (
     console_for,
     keep_drake_quiet,
+    print_failures,
     print_json,
     print_rates,
     print_stages,
@@ -241,7 +242,8 @@ def evaluate_(
     scenarios: Annotated[
         str,
         typer.Option(
-            help="Comma-separated; `objects` is every single object, `clutter` all three."
+            help="Comma-separated; `objects` is every single object, `clutter` all three, `tog29` "
+            "a suite of imported objects with tasks of its own."
         ),
     ] = "objects",
     tasks: Annotated[str, typer.Option(help="Comma-separated: use, handover, part.")] = (
@@ -257,9 +259,11 @@ def evaluate_(
     as_json: JsonOption = False,
 ) -> None:
     """Run objects, seeds and tasks with each selector, and print the table of successes."""
-    from tog_drake.evaluation import evaluate, make_cells, scenario_names, summarize
+    from tog_drake.evaluation import evaluate, make_cells, scenario_names
     from tog_drake.pipeline import SELECTORS
     from tog_drake.selectors.oracle import ORACLE_NOTE
+    from tog_drake.suite import rows_of_suites
+    from tog_drake.summary import agreement, failures, summarize
 
     console = console_for(as_json)
     check_folder(out)
@@ -274,11 +278,21 @@ def evaluate_(
         noise=noise,
         text=scenario_text,
     )
-    rows = summarize(evaluate(cells, workers=workers, out=out, console=console))
+    records = evaluate(cells, workers=workers, out=out, console=console)
+    rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
+    same = agreement(records)
     print_rates(console, rows)
+    print_failures(console, failed)
+    say(
+        console,
+        f"the part between the fingers is the one that the pads press in {same['agree']} of "
+        f"{same['n']} lifts; where both are four fifths one part, in {same['clear_agree']} of "
+        f"{same['clear']}",
+    )
     if "oracle" in chosen:
         say(console, f"oracle: {ORACLE_NOTE}")
-    print_json(as_json, {"rows": rows} | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
+    found = {"rows": rows, "failures": failed, "agreement": same}
+    print_json(as_json, found | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
 
 
 @app.command(epilog=_epilog("tog scenarios"))

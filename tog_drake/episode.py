@@ -136,7 +136,7 @@ def run_episode(
     state, wall = None, 0.0
     while state is None or state.phase is Phase.OBSERVE:
         decision = decide(world.pipeline, context)
-        looked, feasible_by_part = context.get_time(), _feasible_by_part(world, context, decision)
+        looked, between = context.get_time(), _parts_between_fingers(world, context, decision)
         attempts.append(attempt_record(decision))
         if meshcat is not None:
             _draw(meshcat, decision, world)
@@ -153,7 +153,10 @@ def run_episode(
     record["object_friction"] = scenario.object_friction
     record["object"] = world.target
     record["attempts"] = attempts
-    record["feasible_by_part"] = feasible_by_part
+    if between is not None:
+        record["feasible_by_part"] = _feasible_by_part(world, between)
+        if decision.motion is not None:
+            record["closes_on"] = between[decision.motion.grasp_index]
     allowed = world.labels.objects[world.target].allowed(task)
     record["allowed"] = None if allowed is None else sorted(allowed)
     if state is not None:
@@ -225,8 +228,10 @@ def _enter_verdict(record: EpisodeRecord, verdict: Verdict) -> None:
     record["turned"] = verdict.turned
 
 
-def _feasible_by_part(world: World, context: Context, decision: Decision) -> dict[str, int] | None:
-    """How many feasible grasps close on each part of the target, by ground truth."""
+def _parts_between_fingers(
+    world: World, context: Context, decision: Decision
+) -> list[dict[str, float]] | None:
+    """Shares of the target's parts in what each feasible grasp closes on, by ground truth."""
     if isinstance(decision.error, NoFeasibleGrasp):
         grasps = Grasps.empty()
     elif decision.feasible_grasps is None:
@@ -235,9 +240,16 @@ def _feasible_by_part(world: World, context: Context, decision: Decision) -> dic
         grasps = decision.feasible_grasps
     station = world.station
     query = station.GetOutputPort("cheat.query_object").Eval(station.GetMyContextFromRoot(context))
-    regions = world.labels.closing_region(grasps, query)
+    return [
+        {part: share for (model, part), share in region.items() if model == world.target}
+        for region in world.labels.closing_region(grasps, query)
+    ]
+
+
+def _feasible_by_part(world: World, between: list[dict[str, float]]) -> dict[str, int]:
+    """How many feasible grasps close on each part of the target."""
     return {
-        part: sum(r.get((world.target, part), 0.0) >= COMPLIANT_SHARE for r in regions)
+        part: sum(shares.get(part, 0.0) >= COMPLIANT_SHARE for shares in between)
         for part in world.labels.objects[world.target].part_words
     }
 

@@ -1,4 +1,4 @@
-"""Many episodes: every object, seed and task with each selector, and the table of successes."""
+"""Many episodes: every object, seed and task with each selector."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -13,6 +13,7 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import Progress
 
+from tog_drake.assets.library import asset_names
 from tog_drake.cameras import with_noise
 from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode, load_objects, run_episode
@@ -21,13 +22,15 @@ from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
 from tog_drake.pipeline import SELECTORS
-from tog_drake.record import EpisodeRecord, selector_name
+from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
+from tog_drake.suite import SCENARIO, load_suite, suite_files
+from tog_drake.summary import TASK_BLIND
 from tog_drake.terminal import keep_drake_quiet
 
 CLUTTER = ("Household", "Kitchen", "Tools")
 """The scenarios of several objects; every other one holds a single object."""
-SCANNED = ("Tog29",)
+SCANNED = ("Tog29", "Tog29Bottles", "Tog29Toys")
 """Scenarios of imported objects."""
 
 # What is asked of an object, by the kind of task.
@@ -36,9 +39,6 @@ TASKS = {
     "handover": "hand me the {object}",
     "part": "pick up the {object} by its {part}",
 }
-# They do not read the task: one episode serves every task, and is judged for each.
-_TASK_BLIND = ("top-score", "random")
-
 Job = TypeVar("Job")
 T = TypeVar("T")
 _BATCH = 20  # episodes between two renewals of the workers
@@ -55,6 +55,7 @@ class Cell:
     tasks: tuple[str, ...]  # the first is what the robot is told
     noise: bool
     text: str | None  # YAML over the scenario
+    asset: bool = False  # whether the object takes the place of that of the scenario
 
     @property
     def name(self) -> str:
@@ -95,6 +96,9 @@ def make_cells(
         raise InputError(f"unknown kind of task {unknown[0]!r}; valid: {', '.join(TASKS)}")
     cells = []
     for scenario in scenarios:
+        if scenario in suite_files():
+            cells += _suite_cells(scenario, selectors, seeds, noise, text)
+            continue
         objects = load_objects(load_scenario(scenario, text))
         if not objects:
             raise InputError(f"scenario {scenario} holds no labelled object")
@@ -102,11 +106,38 @@ def make_cells(
             for name, labels in objects.items():
                 for seed in seeds:
                     said = tuple(_tasks(labels, tasks, seed))
-                    told = [said] if selector in _TASK_BLIND else [(task,) for task in said]
                     cells += [
-                        Cell(scenario, name, selector, seed, t, noise, text) for t in told if t
+                        Cell(scenario, name, selector, seed, told, noise, text)
+                        for told in _told(selector, said)
                     ]
     return cells
+
+
+def _suite_cells(
+    suite: str, selectors: Sequence[str], seeds: Sequence[int], noise: bool, text: str | None
+) -> list[Cell]:
+    trials = load_suite(suite_files()[suite])
+    missing = {trial.object for trial in trials} - set(asset_names())
+    if missing:
+        raise InputError(
+            f"the suite {suite} needs objects that are not imported: {', '.join(sorted(missing))}; "
+            f"`tog assets fetch --suite {suite}` or `tog assets add-dir DIR` brings them in"
+        )
+    said: dict[tuple[str, str], list[str]] = {}
+    for trial in trials:
+        said.setdefault((trial.scenario, trial.object), []).append(trial.task)
+    return [
+        Cell(scenario, name, selector, seed, told, noise, text, asset=scenario == SCENARIO)
+        for selector in selectors
+        for (scenario, name), tasks in said.items()
+        for seed in seeds
+        for told in _told(selector, tasks)
+    ]
+
+
+def _told(selector: str, said: Sequence[str]) -> list[tuple[str, ...]]:
+    """The tasks of each episode: all in one, where the selector does not read them."""
+    return [tuple(said)] if selector in TASK_BLIND and said else [(task,) for task in said]
 
 
 def _tasks(labels: ObjectParts, kinds: Sequence[str], seed: int) -> Iterator[str]:
@@ -176,6 +207,8 @@ def cell_scenario(cell: Cell) -> Scenario:
     """Returns the scenario of a cell, but for the selector, which the caller puts in."""
     scenario = load_scenario(cell.scenario, cell.text)
     scenario.random_seed = cell.seed
+    if cell.asset:
+        scenario.asset = cell.object
     if cell.noise:
         scenario.cameras = with_noise(scenario.cameras)
     return scenario
@@ -217,61 +250,3 @@ def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> Episod
         None if allowed is None else record["grasp_success"] and judged["task_compliance"]
     )
     return judged
-
-
-def summarize(records: Sequence[EpisodeRecord]) -> list[dict[str, str | int | float]]:
-    """Returns success rates by selector and scenario, and a row "all" for each selector.
-
-    ``grasp`` and ``strict`` (turned by no more than 10° in the hand) are shares of the ``n``
-    episodes that were run, ``task`` and ``both`` of the ``tasks`` that they were judged for: as
-    many, but for a selector that does not read the task. An episode that ended early counts as a
-    failure of each. ``_low`` and ``_high`` bound them with 95 % confidence (Wilson 1927).
-    """
-    rows: list[dict[str, str | int | float]] = []
-    selectors = dict.fromkeys(map(selector_name, records))
-    scenarios = dict.fromkeys(record["scenario"] for record in records)
-    for selector in selectors:
-        of_selector = [r for r in records if selector_name(r) == selector]
-        for scenario in (*scenarios, None):
-            chosen = [r for r in of_selector if scenario in (None, r["scenario"])]
-            if chosen:
-                rows.append(_row(selector, scenario or "all", chosen))
-    return rows
-
-
-def _row(
-    selector: str, scenario: str, records: Sequence[EpisodeRecord]
-) -> dict[str, str | int | float]:
-    runs = list(records)
-    if selector in _TASK_BLIND:  # one run, however many tasks it is judged for
-        runs = list({(r["scenario"], r["object"], r["seed"]): r for r in records}.values())
-    row: dict[str, str | int | float] = {
-        "selector": selector,
-        "scenario": scenario,
-        "n": len(runs),
-        "tasks": len(records),
-    }
-    successes = {
-        "grasp": [r["grasp_success"] for r in runs],
-        "strict": [r["strict_success"] for r in runs],
-        "task": [r["task_compliance"] for r in records],
-        "both": [r["combined_success"] for r in records],
-    }
-    for name, values in successes.items():
-        count = sum(map(bool, values))
-        row[name] = count / len(values)
-        row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(values))
-    failures: dict[str, int] = {}
-    for outcome in (r["outcome"] for r in runs if r["outcome"] != "lifted"):
-        failures[outcome] = failures.get(outcome, 0) + 1
-    row["collisions"] = sum(bool(r["collisions"]) for r in runs)
-    row["failures"] = ", ".join(f"{n} {outcome}" for outcome, n in failures.items())
-    return row
-
-
-def wilson(successes: int, n: int) -> tuple[float, float]:
-    """Returns the 95 % confidence interval of a rate (Wilson 1927)."""
-    from scipy.stats import binomtest  # slow to import
-
-    interval = binomtest(successes, n).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)

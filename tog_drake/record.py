@@ -79,6 +79,9 @@ class EpisodeRecord(TypedDict):
     feasible_by_part: dict[str, int] | None
     """Part of the object -> feasible grasps that close on it to four fifths or more, by the labels;
     null: the stage was not reached."""
+    closes_on: dict[str, float] | None
+    """Part of the object -> its share of what is between the fingers of the last grasp that was
+    carried out, before they close, by the labels; null: nothing was."""
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
@@ -148,6 +151,7 @@ def new_record(
         turned=None,
         collisions=None,
         feasible_by_part=None,
+        closes_on=None,
         allowed=None,
         lift=None,
         motion=_motion_record(decision),

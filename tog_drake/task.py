@@ -107,6 +107,8 @@ def _parts(words: list[str], phrases: list[Phrase]) -> tuple[tuple[str, ...], tu
 def _means_part(words: list[str], i: int, phrase: Phrase) -> bool:
     """Whether a part word means one: not "a bowl", "on top of the box", "by the back wall"."""
     word, before, after = words[i], at(words, i - 1), at(words, i + 1)
+    if word == "front" and after in LEXICON.parts:
+        return False  # "its front legs" are legs
     if word in G.vague_parts:
         if after == "of" and at(words, i + 2) in G.determiners and phrase.lead not in G.locatives:
             return True

@@ -65,6 +65,17 @@ def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     console.print(table)
 
 
+def print_failures(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
+    """The table of what failed, and why; nothing where nothing did."""
+    if not rows:
+        return
+    columns = ("selector", "n", "outcome", "reason", "objects")
+    table = Table(*columns, title="what failed", title_justify="left")
+    for row in rows:
+        table.add_row(*(visible(str(row[column])) for column in columns))
+    console.print(table)
+
+
 def print_stages(console: Console, record: "EpisodeRecord") -> None:
     """The short table: stage, how many, ms; then what came of it."""
     from tog_drake.record import stage_rows

@@ -278,6 +278,7 @@ def _animal_part(points: Array, part: str, rule: Rule) -> Region | None:
         "tail": (tail, "its thin rear end"),
         "leg": (low & (profile.bin >= begin) & (profile.bin < end), "what is low under its middle"),
         "head": (head, "its high end"),
+        "front": (profile.bin < (begin + end) // 2, "what is before the middle of its trunk"),
         "trunk": (profile.bin < nose, "what is low and thin before its head"),
         "neck": (
             behind & (profile.bin < begin) & ~head & ~low,
