@@ -104,11 +104,11 @@ def fetch(
     columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn()
     quiet = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=quiet) as bars:
-        bar = bars.add_task("")
+        bar = bars.add_task("", total=None, visible=False)
 
         def progress(spec: str, done: int, total: int | None) -> None:
             if bars.tasks[bar].description != spec:
-                bars.reset(bar, description=spec)
+                bars.reset(bar, description=spec, visible=True)
             bars.update(bar, completed=done, total=total)
 
         def tell(fetched: fetching.Fetched) -> None:
