@@ -343,6 +343,25 @@ def test_pieces_are_cut_where_that_is_asked_for(scans, monkeypatch):
     assert asked == [True, False]
 
 
+def test_a_suite_is_all_of_its_objects_each_once(server, monkeypatch):
+    monkeypatch.setattr(downloading, "ATTEMPTS", 1)
+    done = tog("assets", "fetch", "--suite", "tog29", "--json")
+    assert done.status == 1
+    told = json.loads(done.out)
+    assert len(told) == 29
+    assert {name for name, said in told.items() if "add-dir" in said["message"]} == {
+        "hope_ketchup",
+        "hope_milk",
+        "cy_glue_1",
+    }
+    assert len({path for path, _ in server.asked}) == len(server.asked) == 26
+
+
+def test_a_suite_that_is_none_and_nothing_at_all_are_wrong_input():
+    refused(tog("assets", "fetch", "--suite", "tog30"), "unknown suite 'tog30'; valid: tog29")
+    refused(tog("assets", "fetch"), "nothing to fetch", "--suite tog29")
+
+
 def test_an_overloaded_server_is_one_line(scans):
     scans.misbehave(*[status(503)] * downloading.ATTEMPTS)
     done = tog("assets", "fetch", HAMMER)

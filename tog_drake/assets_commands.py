@@ -9,7 +9,7 @@ from rich.table import Table
 from tog_drake.assets.reporting import line_of, rows_of
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, write_atomically
-from tog_drake.options import JsonOption
+from tog_drake.options import JsonOption, valid
 from tog_drake.terminal import console_for, print_json, say
 from tog_drake.visible_text import visible
 
@@ -86,7 +86,8 @@ def _up(axis: str | None) -> Literal["z", "y"] | None:
 
 @app.command(epilog="Example: tog assets fetch ycb:048_hammer gso:Schleich_Lion_Action_Figure")
 def fetch(
-    objects: Annotated[list[str], typer.Argument(help="ycb:NAME or gso:NAME.")],
+    objects: Annotated[list[str] | None, typer.Argument(help="ycb:NAME or gso:NAME.")] = None,
+    suite: Annotated[str | None, typer.Option(help="All objects of a suite: tog29.")] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Download and import again what is there already.")
     ] = False,
@@ -100,6 +101,9 @@ def fetch(
 
     from tog_drake.assets import fetching
 
+    wanted = [*(objects or ()), *(_objects_of(suite) if suite is not None else ())]
+    if not wanted:
+        raise InputError("nothing to fetch; valid: names such as ycb:048_hammer, or --suite tog29")
     console = console_for(as_json)
     columns = TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn()
     quiet = not console.is_terminal
@@ -119,10 +123,16 @@ def fetch(
                 say(console, f"  note: {note}")
 
         done = fetching.fetch(
-            objects, force=force, decompose=decompose, progress=progress, tell=tell
+            wanted, force=force, decompose=decompose, progress=progress, tell=tell
         )
     print_json(as_json, {fetched.asset: vars(fetched) for fetched in done})
     raise typer.Exit(1 if any(fetched.status == "failed" for fetched in done) else 0)
+
+
+def _objects_of(suite: str) -> list[str]:
+    from tog_drake.suite import load_suite, suite_files
+
+    return [trial.object for trial in load_suite(valid(suite, suite_files(), "suite"))]
 
 
 @app.command("list", epilog="Example: tog assets list --json")
