@@ -250,11 +250,12 @@ def test_too_large_is_refused_whether_announced_or_not(server, file, mishap):
 
 @pytest.mark.parametrize("mishap", [hang, trickle])
 def test_a_server_that_is_too_slow_is_given_up(server, file, monkeypatch, mishap):
-    monkeypatch.setattr(stream, "PATIENCE", 0.15)
-    monkeypatch.setattr(downloading, "ATTEMPTS", 2)
     server.misbehave(mishap, mishap)
-    with pytest.raises(InputError, match=r"127\.0\.0\.1:\d+ is too slow|cut before the end"):
-        download(server.url + PATH, file)
+    with monkeypatch.context() as patch:
+        patch.setattr(stream, "PATIENCE", 0.15)
+        patch.setattr(downloading, "ATTEMPTS", 2)
+        with pytest.raises(InputError, match=r"127\.0\.0\.1:\d+ is too slow"):
+            download(server.url + PATH, file)
     assert download(server.url + PATH, file) == SHA256
 
 
@@ -276,7 +277,7 @@ def test_a_redirect_to_where_others_could_meddle_is_not(server, file, location):
 
 
 def test_the_body_of_a_redirect_is_not_read(server, file, monkeypatch):
-    monkeypatch.setattr(stream, "PATIENCE", 0.5)
+    monkeypatch.setattr(stream, "PATIENCE", 3.0)
     server.files["/elsewhere"] = DATA
 
     def endless(handler):
@@ -285,6 +286,7 @@ def test_the_body_of_a_redirect_is_not_read(server, file, monkeypatch):
 
     server.misbehave(endless)
     assert download(server.url + PATH, file) == SHA256
+    assert [path for path, _ in server.asked] == [PATH, "/elsewhere"]
 
 
 def test_a_redirect_without_end_is_left(server, file):

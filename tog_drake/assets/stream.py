@@ -128,7 +128,7 @@ def _receive(url: str, headers: dict[str, str], give: Callable[[Any], bool]) -> 
             with session.get(
                 url,
                 headers=headers,
-                timeout=(CONNECT, PATIENCE),
+                timeout=(CONNECT, 2 * PATIENCE),  # ends the thread; who waits has long gone
                 allow_redirects=False,
                 stream=True,
             ) as response:
