@@ -194,6 +194,51 @@ def show(
         say(console, f"page: {out}")
 
 
+@app.command(epilog="Example: tog assets label ycb_048_hammer --out labels.png")
+def label(
+    objects: Annotated[
+        list[str] | None, typer.Argument(help="Imported objects; all of them unless given.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write a picture (.png), or a static page of one object (.html)."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show objects in the colours of their parts, and the area of each part. Without --out, one
+    object is shown in Meshcat until Ctrl-C."""
+    from tog_drake.assets import labelling
+    from tog_drake.assets.library import asset_names
+    from tog_drake.drawing import encode_png
+
+    console = console_for(as_json)
+    chosen = objects or asset_names()
+    kind = ".html" if out is None else out.suffix.lower()
+    if kind not in (".png", ".html"):
+        raise InputError(f"--out must end in .png or .html, not {out}")
+    if not chosen or (kind == ".html" and len(chosen) != 1):
+        raise InputError(
+            f"{len(chosen)} objects cannot be shown in one page; name one object, or give "
+            "--out labels.png"
+        )
+    if out is not None:
+        check_file(out)
+    areas = {name: labelling.labelled_faces(name).areas() for name in chosen}
+    for name, parts in areas.items():
+        shown = ", ".join(f"{part} {1e4 * area:.1f} cm²" for part, area in parts.items())
+        say(console, f"{name}: {shown}")
+    print_json(as_json, areas)
+    if out is None:
+        labelling.serve_labels(chosen[0], console)
+        return
+    if kind == ".png":
+        write_atomically(out, encode_png(labelling.label_sheet(chosen), compression=9))
+    else:
+        page = labelling.labels_in_meshcat(labelling.labelled_faces(chosen[0])).StaticHtml()
+        write_atomically(out, page)
+    say(console, f"{'picture' if kind == '.png' else 'page'}: {out}")
+
+
 @app.command("add-dir", epilog="Example: tog assets add-dir ../scans --workers 2")
 def add_dir(
     folder: Annotated[Path, typer.Argument(help="Holds a folder for each object.")],
