@@ -120,7 +120,8 @@ def add(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, dict[str, Any]
     Raises:
         TogError: a process died.
     """
-    results = in_processes(_import, jobs, workers) if len(jobs) > 1 else map(_import, jobs)
+    alone = min(workers, len(jobs)) == 1
+    results = map(_import, jobs) if alone else in_processes(_import, jobs, workers)
     try:
         yield from zip((job.name for job in jobs), results, strict=True)
     finally:

@@ -135,6 +135,9 @@ def _appearance(
     image, uv = image_of(mesh), getattr(visual, "uv", None)
     if uv is not None and image is not None and np.isfinite(uv).all():
         image.load()  # to hear now that it is broken
+        if image.size[0] * image.size[1] <= 4:  # trimesh's way to say that there is none
+            red, green, blue = image.convert("RGB").getpixel((0, 0))
+            return None, None, (red, green, blue), None
         return np.asarray(uv, np.float64), image, GREY, None
     if visual.kind in ("vertex", "face"):
         return None, None, GREY, np.asarray(visual.vertex_colors, np.uint8)[:, :3]
