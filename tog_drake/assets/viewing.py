@@ -41,7 +41,7 @@ def _shown(folder: Path) -> Meshcat:
     diagram = builder.Build()
     diagram.ForcedPublish(diagram.CreateDefaultContext())
     lower, upper = np.array(read_report(folder.name).get("bounds", [[-0.1] * 3, [0.1] * 3]))
-    middle, reach = (lower + upper) / 2, 2.0 * float(np.linalg.norm(upper - lower))
+    middle, reach = (lower + upper) / 2, 1.1 * float(np.linalg.norm(upper - lower))
     direction = np.array([0.45, -0.75, 0.5])
     meshcat.SetCameraPose(middle + reach * direction, middle)
     return meshcat
