@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -27,10 +28,15 @@ from tog_drake.values import Grasps
 PURE = [Mark(str(i + 1), rgb) for i, (_, rgb) in enumerate(CANDIDATE_COLORS)]
 
 
+@cache
+def bar(width, height):
+    view = look([TABLE, HAMMER_SIZED], width=width, height=height)
+    return view, unproject(view)[view.rgb[..., 1] == 0][::7]
+
+
 def world(n=5, width=640, height=480):
     """A view of a bar on a table, the bar's points, and ``n`` grasps across it from above."""
-    view = look([TABLE, HAMMER_SIZED], width=width, height=height)
-    p_W = unproject(view)[view.rgb[..., 1] == 0][::7]
+    view, p_W = bar(width, height)
     x = np.linspace(0.41, 0.59, n)
     X_WG = np.tile(np.eye(4), (n, 1, 1))
     X_WG[:, :3, :3] = Rotation.from_euler("xyz", [180, 15, 0], degrees=True).as_matrix()
