@@ -193,7 +193,7 @@ def choose(
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for grasps.json and overlay.png.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for grasps.json, overlay.png and more.")] = Path(
         "out/choose"
     ),
     as_json: JsonOption = False,
@@ -204,7 +204,9 @@ def choose(
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import PipelineConfig
     from tog_drake.record import new_record, save_record
+    from tog_drake.report import EpisodeReport, write_report
     from tog_drake.saved_view import load_pose, load_view
+    from tog_drake.vlm_record import exchanges_of
 
     console = console_for(as_json)
     check_folder(out)
@@ -222,8 +224,13 @@ def choose(
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
     save_record(out / "episode.json", episode)
+    report = EpisodeReport(
+        episode, decision.view or view, overlay, exchanges=exchanges_of(decision)
+    )
+    write_report(out / "report.html", [report])
     print_stages(console, episode)
     say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
+    say(console, f"report: {out / 'report.html'}")
     print_json(as_json, episode)
     raise typer.Exit(0 if decision.error is None else 1)
 
