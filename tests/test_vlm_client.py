@@ -135,7 +135,7 @@ def test_what_passes_is_survived(server, provider, mishap):
 @pytest.mark.parametrize(("mishap", "expected"), LASTING.values(), ids=LASTING)
 def test_what_lasts_ends_in_a_typed_status_within_the_deadline(server, provider, mishap, expected):
     server.misbehave(mishap, always=True)
-    seconds = 0.3 if expected == {"timed_out"} else 5.0
+    seconds = 0.2 if expected == {"timed_out"} else 5.0
     started = time.monotonic()
     error = caught(server, provider, seconds)
     assert time.monotonic() - started < seconds + 0.7
