@@ -5,17 +5,20 @@ shows that pictures, marks, words and coordinates can be understood.
 """
 
 import functools
+import json
 from dataclasses import dataclass
 
 import pytest
+from command import tog
 from pydrake.perception import PointCloud
-from pydrake.systems.analysis import Simulator
 from seeing_server import see_and_answer
-from vlm_server import KEY, KEY_VARIABLES, VlmServer
+from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, says
 
 from tog_drake.candidates import CandidatesConfig, pick_candidates
-from tog_drake.episode import build_world
+from tog_drake.episode import build_world, look
 from tog_drake.judge import COMPLIANT_SHARE
+from tog_drake.pipeline import decide
+from tog_drake.record import new_record
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
@@ -26,7 +29,7 @@ HAND, USE = "hand me the hammer", "use the hammer to drive a nail"
 PART = {HAND: "head", USE: "handle"}
 MODELS = {"openai": "any", "gemini": "gemini-3.8-flash", "anthropic": "claude-sonnet-5-5"}
 FAMILY = {"openai": "pixels", "gemini": "gemini", "anthropic": "pixels"}
-K = 6  # the K of highest silhouette is 2 here, and both are grasps of the handle
+K = 5  # the K of highest silhouette is 2 here, and both are grasps of the handle
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,9 @@ class Looked:
 
 @pytest.fixture(scope="module")
 def looked():
-    world = build_world(load_scenario("Hammer"))
-    simulator = Simulator(world.diagram)
-    context = simulator.get_mutable_context()
-    world.diagram.GetInputPort("task").FixValue(context, HAND)
-    simulator.AdvanceTo(world.pipeline.executor.look_time)
+    scenario = load_scenario("Hammer")
+    world = build_world(scenario)
+    context = look(world, scenario, HAND).get_context()
     inner = world.pipeline.GetMyContextFromRoot(context)
     view, cloud, grasps = (
         world.pipeline.GetOutputPort(port).Eval(inner)
@@ -96,3 +97,51 @@ def test_every_strategy_finds_the_part_for_the_task_through_every_protocol(
     assert (choice.status, choice.fallback) == ("ok", None)
     assert all(exchange.status == "ok" for exchange in choice.exchanges), choice.exchanges
     assert share >= COMPLIANT_SHARE
+
+
+def run(folder, *arguments, strategy, status=0):
+    """Runs ``tog run`` on the hammer and returns its record."""
+    options = ["--task", HAND, "--strategy", strategy, "--k", K, "--no-meshcat", "--out", folder]
+    done = tog("run", *options, *arguments)
+    assert done.status == status, done
+    return json.loads((folder / "episode.json").read_text())
+
+
+def test_a_run_lifts_the_hammer_by_its_head_and_is_decided_alike_from_its_cassette(tmp_path):
+    cassette = tmp_path / "asked.jsonl"
+    with seeing() as server:
+        model = ["--vlm", server.specification("openai"), "--record", cassette]
+        record = run(tmp_path, *model, strategy="gsi")
+        assert len(server.received) == 1
+    assert (record["outcome"], record["task_compliance"]) == ("lifted", True)
+    assert record["held"] == {"head": 1.0}
+
+    scenario = load_scenario("Hammer")  # another world, and no server
+    scenario.pipeline.candidates.k = K
+    scenario.pipeline.selector = Vlm(strategy="gsi", replay=str(cassette))
+    world = build_world(scenario)
+    again = decide(world.pipeline, look(world, scenario, HAND).get_context())
+    replayed = new_record(again, scenario.pipeline, task=HAND, seed=scenario.random_seed)
+    assert replayed["choice"] == record["choice"]  # bit for bit: floats are written in full
+    assert replayed["vlm"] == {**record["vlm"], "model": f"replay:{cassette}"}
+
+
+def test_where_the_server_hangs_a_run_goes_on_with_the_geometric_selector_and_says_so(tmp_path):
+    with seeing() as server:
+        server.misbehave(hang, always=True)
+        hasty = "pipeline: {selector: !Vlm {deadline: 0.3}}"
+        model = ["--vlm", server.specification("openai"), "--scenario-text", hasty]
+        record = run(tmp_path, *model, strategy="cpg")
+    assert (record["vlm"]["status"], record["vlm"]["fallback"]) == ("timed_out", "geometric")
+    assert "so the geometric selector chose" in record["choice"]["reason"]
+    assert (record["outcome"], record["task_compliance"]) == ("lifted", True)
+
+
+def test_where_the_model_refuses_a_run_that_may_not_fall_back_ends_without_a_choice(tmp_path):
+    with seeing() as server:
+        server.misbehave(says(text=None, refusal="I do not grasp things."), always=True)
+        model = ["--vlm", server.specification("openai"), "--fallback", "fail"]
+        record = run(tmp_path, *model, strategy="cpg", status=1)
+    assert (record["outcome"], record["choice"]) == ("no_choice", None)
+    assert (record["vlm"]["status"], record["vlm"]["fallback"]) == ("refused", None)
+    assert "I do not grasp things." in record["message"]
