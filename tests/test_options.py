@@ -1,7 +1,5 @@
 """Who chooses the grasp, as the command line says it."""
 
-import json
-
 import pytest
 from command import refused, tog
 from vlm_server import KEY_VARIABLES
@@ -134,7 +132,6 @@ def test_choose_takes_the_same_options():
     refused(tog("choose", *view, "--vlm", MODEL, "--strategy", "x"), "'x'", *STRATEGIES)
 
 
-def test_the_diagram_of_a_selector_that_asks_a_model_needs_one():
+def test_a_selector_that_asks_a_model_needs_one():
     with pytest.raises(InputError, match="no model"):
         applied(selector="vlm")
-    assert json.dumps(vars(applied(vlm=MODEL)), default=vars)  # what a record keeps of it
