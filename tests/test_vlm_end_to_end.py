@@ -8,6 +8,7 @@ import functools
 import json
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from command import tog
 from pydrake.perception import PointCloud
@@ -16,6 +17,7 @@ from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, says
 
 from tog_drake.candidates import CandidatesConfig, pick_candidates
 from tog_drake.episode import build_world, look
+from tog_drake.errors import NoChoice
 from tog_drake.judge import COMPLIANT_SHARE
 from tog_drake.pipeline import decide
 from tog_drake.record import new_record
@@ -97,6 +99,29 @@ def test_every_strategy_finds_the_part_for_the_task_through_every_protocol(
     assert (choice.status, choice.fallback) == ("ok", None)
     assert all(exchange.status == "ok" for exchange in choice.exchanges), choice.exchanges
     assert share >= COMPLIANT_SHARE
+
+
+SPOILED = {
+    "shifted reference": lambda plain, marked: (np.roll(plain, 12, axis=1), marked),
+    "blue for red": lambda plain, marked: (plain[..., ::-1], marked[..., ::-1]),
+    "head cut off": lambda plain, marked: (plain[:, 200:], marked[:, 200:]),
+    "reference of another size": lambda plain, marked: (plain[::2, ::2], marked),
+    "no marks": lambda plain, marked: (plain, plain),
+}
+
+
+@pytest.mark.parametrize("spoiled", SPOILED)
+def test_pictures_that_cannot_be_understood_get_no_answer(looked, spoiled):
+    sent = []
+
+    def answer(text, images):
+        pictures = SPOILED[spoiled](*images)
+        sent.append(see_and_answer(text, [np.ascontiguousarray(p) for p in pictures]))
+        return sent[-1]
+
+    with VlmServer(answer) as server, pytest.raises(NoChoice):
+        select(looked, server.specification("openai"), HAND, strategy="gsi")
+    assert all(said.startswith("I cannot answer") for said in sent), sent
 
 
 def run(folder, *arguments, strategy, status=0):
