@@ -15,7 +15,6 @@ from pydrake.perception import PointCloud
 from seeing_server import FAMILIES, see_and_answer
 from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, says
 
-from tog_drake.candidates import CandidatesConfig, pick_candidates
 from tog_drake.episode import build_world, look
 from tog_drake.errors import NoChoice
 from tog_drake.judge import COMPLIANT_SHARE
@@ -31,7 +30,6 @@ HAND, USE = "hand me the hammer", "use the hammer to drive a nail"
 PART = {HAND: "head", USE: "handle"}
 MODELS = {"openai": "any", "gemini": "gemini-3.8-flash", "anthropic": "claude-sonnet-5-5"}
 FAMILY = {"openai": "pixels", "gemini": "gemini", "anthropic": "pixels"}
-K = 5  # the K of highest silhouette is 2 here, and both are grasps of the handle
 
 
 @dataclass(frozen=True)
@@ -50,15 +48,14 @@ def looked():
     world = build_world(scenario)
     context = look(world, scenario, HAND).get_context()
     inner = world.pipeline.GetMyContextFromRoot(context)
-    view, cloud, grasps = (
-        world.pipeline.GetOutputPort(port).Eval(inner)
-        for port in ("view", "cloud", "feasible_grasps")
+    view, cloud, candidates = (
+        world.pipeline.GetOutputPort(port).Eval(inner) for port in ("view", "cloud", "candidates")
     )
     query = world.station.GetOutputPort("cheat.query_object")
     parts = world.labels.closing_region(
-        grasps, query.Eval(world.station.GetMyContextFromRoot(context))
+        candidates.grasps, query.Eval(world.station.GetMyContextFromRoot(context))
     )
-    return Looked(view, cloud, pick_candidates(grasps, CandidatesConfig(k=K), seed=0), parts)
+    return Looked(view, cloud, candidates, parts)
 
 
 @pytest.fixture(autouse=True)
@@ -135,7 +132,7 @@ def test_pictures_that_cannot_be_understood_get_no_answer(looked, spoiled):
 
 def run(folder, *arguments, strategy, status=0):
     """Runs ``tog run`` on the hammer and returns its record."""
-    options = ["--task", HAND, "--strategy", strategy, "--k", K, "--no-meshcat", "--out", folder]
+    options = ["--task", HAND, "--strategy", strategy, "--no-meshcat", "--out", folder]
     done = tog("run", *options, *arguments)
     assert done.status == status, done
     return json.loads((folder / "episode.json").read_text())
@@ -151,7 +148,6 @@ def test_a_run_lifts_the_hammer_by_its_head_and_is_decided_alike_from_its_casset
     assert record["held"] == {"head": 1.0}
 
     scenario = load_scenario("Hammer")  # another world, and no server
-    scenario.pipeline.candidates.k = K
     scenario.pipeline.selector = Vlm(strategy="gsi", replay=str(cassette))
     world = build_world(scenario)
     again = decide(world.pipeline, look(world, scenario, HAND).get_context())
