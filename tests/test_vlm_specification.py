@@ -75,6 +75,50 @@ def test_what_names_no_model_is_refused_and_no_secret_of_it_is_shown(text):
     assert "user:secret" not in str(info.value)
 
 
+HOSTS = st.from_regex(
+    r"([a-z][a-z0-9-]{0,8}(\.[a-z]{2,3})?|[0-9]{1,3}(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?(/v1)?/?",
+    fullmatch=True,
+).filter(lambda host: host not in ("latest", "default"))
+
+
+@given(
+    st.sampled_from(sorted(PROVIDERS)),
+    st.sampled_from(["any", "gpt-5", "a@b", "qwen2.5vl:7b", "molmo"]),
+    st.sampled_from(["", "http:/", "http:", "HTTP://", "ftp://", "//", "user:secret@"]),
+    HOSTS,
+)
+@example("openai", "any", "", "127.0.0.1:8080/v1")
+@example("openai", "gpt-5", "", "localhost:11434/v1")
+@example("openai", "gpt-5", "", "localhost")
+def test_an_address_without_http_is_never_taken_for_part_of_a_name(provider, model, before, host):
+    with pytest.raises(InputError, match="begins with http:// or https://") as info:
+        read_specification(f"{provider}:{model}@{before}{host}", profile="pixels")
+    assert "secret" not in str(info.value)
+    with pytest.raises(InputError, match="begins with http:// or https://"):
+        check_model(PROVIDERS[provider](model=f"{model}@{before}{host}", profile="pixels"))
+
+
+def test_a_version_after_an_at_sign_belongs_to_the_name():
+    assert read_specification("anthropic:claude-opus@20250514").model == "claude-opus@20250514"
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("ollama:llava", "openai:llava@http://localhost:11434/v1"),
+        ("Ollama:qwen2.5vl:7b", "openai:qwen2.5vl:7b@http://localhost:11434/v1"),
+        ("vllm:Qwen/Qwen3-VL-8B", "openai:Qwen/Qwen3-VL-8B@http://localhost:8000/v1"),
+        ("gpt-4o", "openai:gpt-4o"),
+        ("gemini-3.8-flash", "gemini:gemini-3.8-flash"),
+        ("claude-sonnet-5-5", "anthropic:claude-sonnet-5-5"),
+    ],
+)
+def test_what_was_probably_meant_is_said_and_is_valid(text, meant):
+    with pytest.raises(InputError, match=f"did you mean {meant};"):
+        read_specification(text)
+    read_specification(meant, profile="pixels")
+
+
 @given(st.text() | st.from_regex(r"(openai|gemini|qwen):[^ ]{0,9}@https?://.{0,9}", fullmatch=True))
 @example("openai:any@http://a..b/v1")
 def test_every_text_is_a_model_or_is_refused(text):

@@ -20,8 +20,13 @@ VALID = (
     "openai:MODEL, openai:MODEL@URL (vLLM, Ollama, llama.cpp ...), gemini:MODEL, anthropic:MODEL, "
     "molmo:MODEL@URL, qwen:MODEL@URL, replay:FILE"
 )
+# Servers that are taken for a provider, and the port each listens on.
+_SERVERS = {"ollama": 11434, "vllm": 8000, "sglang": 30000, "lmstudio": 1234}
+_FAMILIES = {"gpt": "openai", "chatgpt": "openai", "gemini": "gemini", "claude": "anthropic"}
 # A model's name may hold colons (qwen2.5vl:7b) and at-signs; a URL begins with its scheme.
 _FORM = re.compile(r"([a-z]+):((?!@)[^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
+# The only end of a name after an at-sign that is no address: a version, as in claude@20250514.
+_VERSION = re.compile(r"[0-9]+|latest|default", re.ASCII)
 
 # No user, password or query, and nothing that two readers of URLs could take for two hosts.
 _URL = re.compile(r"https?://([\w.-]+|\[[0-9a-fA-F:.]+\])(:[0-9]{1,5})?(/[\w.~%:+/-]*)?", re.ASCII)
@@ -35,7 +40,7 @@ def read_specification(text: str, profile: str | None = None) -> ModelConfig:
     """
     match = _FORM.fullmatch(text.strip())
     if match is None or match[1] not in PROVIDERS:
-        raise InputError(f"{text!r} names no model; valid: {VALID}")
+        raise InputError(f"{text!r} names no model{_meant(text.strip())}; valid: {VALID}")
     config = PROVIDERS[match[1]](model=match[2], profile=profile)
     if match[3] is not None:
         config.base_url = match[3].rstrip("/")
@@ -50,10 +55,32 @@ def specification(config: ModelConfig) -> str:
     return f"{word}:{config.model}{at}"
 
 
+def _meant(text: str) -> str:
+    """What the writer of a line that names no model may have meant; "" where nothing is likely."""
+    word, colon, name = text.partition(":")
+    if colon and word.lower() in _SERVERS and re.fullmatch(r"[\w.:/-]+", name):
+        meant = f"openai:{name}@http://localhost:{_SERVERS[word.lower()]}/v1"
+    else:
+        bare = re.fullmatch(r"([a-z]+)[\w.-]*", text, re.ASCII)
+        if bare is None or bare[1] not in _FAMILIES:
+            return ""
+        meant = f"{_FAMILIES[bare[1]]}:{text}"
+    return f"; did you mean {meant}"
+
+
 def check_model(config: ModelConfig) -> None:
     """Raises InputError for a model that cannot be asked, whatever its server is."""
     if not config.model:
         raise InputError(f"no model is named; valid: {VALID}")
+    unsaid = config.base_url == type(config)().base_url
+    _, at, end = config.model.rpartition("@")
+    if unsaid and at and not _VERSION.fullmatch(end):
+        # Such as any@localhost:8000/v1: the provider would be asked, and get its key and images.
+        # Not shown: it may hold a password.
+        raise InputError(
+            "the model's name ends in an address without http:// or https://; a URL after @ begins "
+            "with http:// or https://; valid: such as openai:MODEL@http://localhost:8000/v1"
+        )
     if not _URL.fullmatch(config.base_url):
         # Not shown: it may hold a password, and messages end up in records.
         raise InputError(
