@@ -389,6 +389,16 @@ def test_show_serves_the_scene_on_this_machine_until_ctrl_c(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_diagram_needs_no_key_of_the_model_in_it(monkeypatch, tmp_path):
+    for variable in ("GOOGLE_API_KEY", "GEMINI_API_KEY"):
+        monkeypatch.delenv(variable, raising=False)
+    text = "pipeline: {selector: !Vlm {model: !Gemini {model: gemini-3.8-flash}}}"
+    done = tog("diagram", "Hammer", "--scenario-text", text, "--out", tmp_path / "a.svg")
+    assert done.status == 0, done
+    done = tog("diagram", "Hammer", "--vlm", "gemini:gemini-3.8-flash", "--out", tmp_path / "b.svg")
+    assert done.status == 0, done
+
+
 def test_diagram_writes_a_picture(tmp_path):
     done = tog("diagram", "Hammer", "--selector", "oracle", "--out", tmp_path / "a" / "h.svg")
     assert (done.status, done.err) == (0, "")

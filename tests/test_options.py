@@ -122,8 +122,14 @@ def test_a_cassette_below_a_file_cannot_be_written(tmp_path):
 
 def test_a_password_in_an_address_is_not_repeated():
     done = tog(*RUN, "--vlm", "openai:any@http://me:sesame-0123456789@127.0.0.1:9/v1")
-    refused(done, "OPENAI_API_KEY")
+    refused(done, "VLM_API_KEY")
     assert "sesame" not in done.err
+
+
+@pytest.mark.parametrize("model", ["!Gemini {model: gemini-3.8-flash}", "!OpenAi {model: gpt-6}"])
+def test_the_key_of_a_scenario_s_model_is_looked_for_before_a_run(model):
+    text = f"pipeline: {{selector: !Vlm {{model: {model}}}}}"
+    refused(tog(*RUN, "--scenario-text", text), "_API_KEY")
 
 
 def test_choose_takes_the_same_options():

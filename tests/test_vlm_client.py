@@ -385,7 +385,10 @@ def test_without_a_key_nothing_is_asked(server, provider, monkeypatch):
         assert caught(server, provider).status == "rejected"
         return
     with pytest.raises(InputError, match=KEY_VARIABLES[provider]):
-        client(server, provider)
+        client(server, provider).check_key()
+    with pytest.raises(InputError, match=KEY_VARIABLES[provider]):
+        ask(server, provider)
+    assert not server.received
 
 
 def test_a_server_that_wants_no_key_is_sent_none(monkeypatch):

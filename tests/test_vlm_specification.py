@@ -18,6 +18,7 @@ from tog_drake.selectors.vlm.specification import (
     specification,
 )
 
+PROVIDER_KEYS = ("OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY")
 KEY = "sk-proj-4f9a8b7c6d5e4f3a2b1c"
 
 SPECIFICATIONS = {
@@ -166,11 +167,52 @@ def test_a_key_is_not_sent_where_others_can_read_it(monkeypatch):
     assert OpenAi(base_url="http://192.168.0.7:8000/v1").headers() == {}
     assert OpenAi(base_url="http://localhost.example.com/v1").headers() == {}
     assert KEY in str(OpenAi(base_url="http://localhost:8000/v1").headers())
-    assert KEY in str(OpenAi(base_url="https://openrouter.ai/api/v1").headers())
     with pytest.raises(InputError, match="valid: https"):
         Anthropic(base_url="http://api.anthropic.com").headers()
     with pytest.raises(InputError, match="valid: https"):
         OpenAi(base_url="http://api.openai.com/v1").headers()
+
+
+@pytest.mark.parametrize("host", ["https://evil.example", "https://api.openai.com.evil.example"])
+@pytest.mark.parametrize("kind", [OpenAi, Qwen, Molmo, Gemini, Anthropic])
+def test_a_provider_s_key_goes_to_no_other_host(kind, host, monkeypatch):
+    for variable in PROVIDER_KEYS:
+        monkeypatch.setenv(variable, KEY)
+    monkeypatch.setenv("VLM_API_KEY", "of-another-server")
+    monkeypatch.setenv("LAB_API_KEY", "of-the-laboratory")
+    config = kind(model="qwen molmo", base_url=host)
+    assert "of-another-server" in str(config.headers())
+    assert KEY not in str(config.headers())
+    config.key_variable = "LAB_API_KEY"
+    assert "of-the-laboratory" in str(config.headers())
+    for variable in PROVIDER_KEYS:
+        config.key_variable = variable
+        for refuses in (config.headers, lambda: check_model(config)):
+            with pytest.raises(InputError, match=f"{variable}.* is not sent to .*VLM_API_KEY"):
+                refuses()
+
+
+@pytest.mark.parametrize("kind", [OpenAi, Gemini, Anthropic])
+def test_a_provider_s_own_host_gets_no_other_provider_s_key(kind, monkeypatch):
+    for variable in PROVIDER_KEYS:
+        monkeypatch.setenv(variable, KEY)
+    own = kind(model="any").key_variables()
+    assert KEY in str(kind(model="any", key_variable=own[0]).headers())
+    for other in set(PROVIDER_KEYS) - set(own):
+        with pytest.raises(InputError, match="belongs to"):
+            kind(model="any", key_variable=other).headers()
+        assert KEY in str(
+            kind(model="any", base_url="http://[::1]:8", key_variable=other).headers()
+        )
+
+
+def test_a_server_without_a_key_of_its_own_is_sent_none(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    monkeypatch.delenv("VLM_API_KEY", raising=False)
+    assert OpenAi("any", "https://openrouter.ai/api/v1").headers() == {}
+    for kind in (Gemini, Anthropic):  # these protocols want one
+        with pytest.raises(InputError, match="set the environment variable VLM_API_KEY"):
+            kind("any", "https://gateway.example").headers()
 
 
 def test_a_missing_key_is_said_to_be_missing(monkeypatch):

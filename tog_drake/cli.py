@@ -332,6 +332,7 @@ def diagram(
     out: Annotated[Path, typer.Option(help="SVG file.")],
     scenario_text: ScenarioText = None,
     selector: SelectorOption = None,
+    vlm: ModelOption = None,
 ) -> None:
     """Draw the Diagram of a scenario: station, stages and the ports that connect them."""
     from tog_drake.diagram_graph import svg
@@ -339,7 +340,8 @@ def diagram(
     from tog_drake.files import write_atomically
 
     check_file(out)
-    loaded = _load(scenario, scenario_text, SelectorOptions(selector))
+    loaded = _load(scenario, scenario_text)
+    SelectorOptions(selector, vlm=vlm).apply(loaded.pipeline, asks=False)
     write_atomically(out, svg(build_world(loaded, target=next(iter(load_objects(loaded)), None))))
     say(console_for(as_json=False), f"picture: {out}")
 

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL, anthropic:MODEL or replay:FILE"
-MODEL_HELP = "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL."
+MODEL_HELP = (
+    "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL. Its key: OPENAI_API_KEY, "
+    "GEMINI_API_KEY, ANTHROPIC_API_KEY; elsewhere than there or on this machine, VLM_API_KEY."
+)
 _REPLAY = "replay:"
 
 ScenarioOption = Annotated[
@@ -87,16 +90,19 @@ class SelectorOptions:
     replay: Path | None = None
     export: Path | None = None  # a cassette: what it has no answer to is to be asked elsewhere
 
-    def apply(self, config: "PipelineConfig", *, fallback: str | None = None) -> None:
+    def apply(
+        self, config: "PipelineConfig", *, fallback: str | None = None, asks: bool = True
+    ) -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
 
         Args:
             config: of the pipeline, changed in place.
             fallback: what holds where neither options nor scenario say who chooses.
+            asks: whether the pipeline is to run, so that the key of a model must be there.
 
         Raises:
             InputError: an unknown name, options that do not go together, a cassette that cannot be
-                read or written, or no model to ask.
+                read or written, no model to ask, or no key for it.
         """
         from tog_drake.pipeline import SELECTORS
         from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
@@ -109,7 +115,9 @@ class SelectorOptions:
         if isinstance(config.selector, Vlm):
             self._apply_to(config.selector)
             config.selector.fallback = config.selector.fallback or fallback
-            VlmSelector(config.selector, config.workspace, seed=0)  # to hear now what is wrong
+            wanted = VlmSelector(config.selector, config.workspace, seed=0)  # hears what is wrong
+            if asks:
+                wanted.check_key()
         elif given := self._given():
             chooses = type(config.selector).__name__
             raise InputError(

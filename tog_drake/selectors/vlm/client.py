@@ -41,18 +41,21 @@ class Client:
             cassette: where questions are looked up and, where it is recorded, answers are kept.
 
         Raises:
-            InputError: the config makes no sense, its key is missing (where it is asked for
-                sure), or the table of prices that the user gave cannot be read.
+            InputError: the config makes no sense, or the table of prices that the user gave
+                cannot be read.
         """
         check_model(api)
-        if cassette is None:
-            api.headers()
         self._api = api
         self._profile = profile
         self._cassette = cassette
         self._prices = load_prices()
         self._times: Counter[str] = Counter()  # how often each question was asked
         self._complaints: dict[str, str] = {}  # parameter -> how the server refused it
+
+    def check_key(self) -> None:
+        """Raises InputError where the model will be asked for sure, and its key is missing."""
+        if self._cassette is None:
+            self._api.headers()
 
     def ask(self, message: Message, deadline: float) -> Asked:
         """Asks, with all the retries that there is time for.

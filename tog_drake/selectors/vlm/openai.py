@@ -10,7 +10,7 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import quoted, read_key, require_key
+from tog_drake.selectors.vlm.keys import key_variables, quoted, read_key, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPENAI = "https://api.openai.com/v1"
@@ -33,7 +33,7 @@ class OpenAi:
     model: str = ""  # as the server names it
     base_url: str = _OPENAI  # what comes before /chat/completions
     profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str = "OPENAI_API_KEY"  # environment variable that holds the key
+    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
     max_tokens: int = 4096  # of an answer, reasoning included
     effort: str | None = None  # of reasoning: none, low, medium, high; None: the server's default
 
@@ -50,12 +50,16 @@ class OpenAi:
     def _is_openai(self) -> bool:
         return urlsplit(self.base_url).hostname == urlsplit(_OPENAI).hostname
 
+    def key_variables(self) -> tuple[str, ...]:
+        return key_variables(self.key_variable, ["OPENAI_API_KEY"], self.url())
+
     def headers(self) -> dict[str, str]:
         """OpenAI itself wants a key; other servers get one where there is one."""
+        variables = self.key_variables()
         if self._is_openai():
-            key: str | None = require_key([self.key_variable], self.url())
+            key: str | None = require_key(variables, self.url())
         else:
-            key = read_key(self.key_variable, self.url())
+            key = read_key(variables[0], self.url())
         return {"Authorization": f"Bearer {key}"} if key else {}
 
     def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:

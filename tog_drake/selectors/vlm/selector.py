@@ -71,6 +71,10 @@ class VlmSelector:
         self._geometric = GeometricSelector(Geometric(), workspace)
         self._model, self._profile, self._client = _connect(config)
 
+    def check_key(self) -> None:
+        """Raises InputError where the model will be asked for sure, and its key is missing."""
+        self._client.check_key()
+
     def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
         """Returns the grasp that the model's answers single out, or what the fallback chooses.
 

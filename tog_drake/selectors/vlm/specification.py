@@ -5,6 +5,7 @@ import re
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.anthropic import Anthropic
 from tog_drake.selectors.vlm.gemini import Gemini
+from tog_drake.selectors.vlm.keys import ELSEWHERE
 from tog_drake.selectors.vlm.openai import Molmo, OpenAi, Qwen
 
 ModelConfig = OpenAi | Gemini | Anthropic | Molmo | Qwen
@@ -85,8 +86,8 @@ def check_model(config: ModelConfig) -> None:
         # Not shown: it may hold a password, and messages end up in records.
         raise InputError(
             f"base_url of {config.model} is no URL of scheme, host and path alone; valid: one such "
-            f"as http://localhost:8000/v1. A key goes into the environment variable "
-            f"{config.key_variable}"
+            "as http://localhost:8000/v1. A key goes into an environment variable such as "
+            f"{ELSEWHERE}"
         )
     if isinstance(config, Molmo | Qwen) and config.profile is None:
         family = type(config).__name__
@@ -95,5 +96,6 @@ def check_model(config: ModelConfig) -> None:
                 f"the name {config.model!r} does not say which {family} it is, and they point in "
                 "different ways; name the profile too (--profile, or profile: in the scenario)"
             )
+    config.key_variables()  # to hear now that a key would go where it does not belong
     if config.max_tokens < 1:
         raise InputError(f"max_tokens must be 1 or more, not {config.max_tokens}")
