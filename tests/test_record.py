@@ -191,6 +191,7 @@ def test_what_a_model_was_asked_and_said_is_in_the_record_without_the_images():
                 "seconds": 0.512,
                 "tokens": {"input": 7, "output": 2},
                 "cost": None,
+                "replayed": None,
             }
         ],
     }

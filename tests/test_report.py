@@ -267,8 +267,19 @@ def test_the_page_tells_of_an_answer_that_was_no_use_and_who_chose_instead():
         "Model that answered not said",
         "0.8 s, price unknown",
         "1.6 s, price unknown",  # in all
+        "chosen by geometric, not by the model",
     ):
         assert said in page.text, said
+
+
+def test_the_page_tells_replayed_answers_from_live_ones():
+    exchanges = make_exchange(replayed="a<b>.jsonl"), make_exchange("1")
+    page = text_of(report_html([EpisodeReport(make_record(vlm=make_vlm()), exchanges=exchanges)]))
+    replayed = "It took replayed from a<b>.jsonl; when asked 0.8 s, 1,234 tokens, $0.0012"
+    assert page.text.count(replayed) == 1
+    assert "It took 0.8 s, 1,234 tokens" in page.text
+    assert "In all 1 of 2 replayed from a<b>.jsonl; when asked 1.6 s" in page.text
+    assert "chosen by" not in page.text
 
 
 def test_an_image_that_is_asked_about_again_is_carried_once():

@@ -408,6 +408,8 @@ def test_what_was_recorded_is_replayed_without_a_server_or_a_key(tmp_path, monke
     replaying = client(server, "openai", Cassette(tmp_path / "c.jsonl", "replay"))
     again = [replaying.ask(MESSAGE, 0.0) for _ in range(2)]
     assert [a.reply for a in again] == [a.reply for a in asked]
+    assert [a.replayed for a in asked] == [None, None]
+    assert [a.replayed for a in again] == 2 * [str(tmp_path / "c.jsonl")]
     assert [a.seconds for a in again] == pytest.approx([a.seconds for a in asked], abs=1e-3)
     with pytest.raises(NotRecorded, match=f"{asked[0].key}#3"):
         replaying.ask(MESSAGE, 0.0)

@@ -153,6 +153,8 @@ def test_a_run_lifts_the_hammer_by_its_head_and_is_decided_alike_from_its_casset
     again = decide(world.pipeline, look(world, scenario, HAND).get_context())
     replayed = new_record(again, scenario.pipeline, task=HAND, seed=scenario.random_seed)
     assert replayed["choice"] == record["choice"]  # bit for bit: floats are written in full
+    assert [e.pop("replayed") for e in replayed["vlm"]["exchanges"]] == [str(cassette)]
+    assert [e.pop("replayed") for e in record["vlm"]["exchanges"]] == [None]
     assert replayed["vlm"] == {**record["vlm"], "model": f"replay:{cassette}"}
 
 

@@ -65,7 +65,11 @@ VotesOption = Annotated[
     int | None, typer.Option(min=1, max=2, help="2: asked again with the marks permuted.")
 ]
 FallbackOption = Annotated[
-    str | None, typer.Option(help="Who chooses where the answer is no use: geometric | fail.")
+    str | None,
+    typer.Option(
+        help="Who chooses where the answer is no use: geometric | fail."
+        " By default: run, choose: geometric; eval: fail."
+    ),
 ]
 RecordOption = Annotated[
     Path | None, typer.Option(help="File that keeps questions and answers; none is asked twice.")

@@ -230,20 +230,31 @@ def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float]]:
 
 
 def usage(
-    seconds: float, tokens: Sequence[Mapping[str, int] | None], costs: Sequence[float | None]
+    seconds: float,
+    tokens: Sequence[Mapping[str, int] | None],
+    costs: Sequence[float | None],
+    replayed: Sequence[str | None] = (),
 ) -> str:
     """Returns what questions to a model took, such as "0.8 s, 1,234 tokens, $0.0012".
+
+    Of what is ``replayed`` from a cassette it says so, and that this is what it took back then.
 
     Tokens are those read and written, reasoning with the latter; what is unknown of one question
     is unknown of all.
     """
-    said = [f"{seconds:.1f} s"]
+    cassettes = sorted({cassette for cassette in replayed if cassette is not None})
+    said = [f"{seconds:.1f} s"] if seconds or not cassettes else []
     known = [t["input"] + t["output"] for t in tokens if t and {"input", "output"} <= t.keys()]
     if len(known) == len(tokens):
         said.append(f"{sum(known):,} tokens")
     priced = [cost for cost in costs if cost is not None]
     said.append(f"${sum(priced):.4f}" if len(priced) == len(costs) else "price unknown")
-    return ", ".join(said)
+    took = ", ".join(said)
+    if not cassettes:
+        return took
+    n = sum(cassette is not None for cassette in replayed)
+    some = f"{n} of {len(replayed)} " if n < len(replayed) else ""
+    return f"{some}replayed from {', '.join(cassettes)}; when asked {took}"
 
 
 def save_record(path: Path, record: EpisodeRecord) -> None:

@@ -143,6 +143,7 @@ def _asked(
                 sum(exchange.seconds for exchange in exchanges),
                 [exchange.tokens for exchange in exchanges],
                 [exchange.cost for exchange in exchanges],
+                [_cassette(exchange) for exchange in exchanges],
             ),
         },
         "questions": [
@@ -176,11 +177,17 @@ def _question(
             "Model that answered": (
                 "not said" if exchange.model is None else visible(exchange.model, limit=100)
             ),
-            "It took": usage(exchange.seconds, [exchange.tokens], [exchange.cost]),
+            "It took": usage(
+                exchange.seconds, [exchange.tokens], [exchange.cost], [_cassette(exchange)]
+            ),
             "Tokens": ", ".join(f"{n:,} {of}" for of, n in (exchange.tokens or {}).items()) or None,
             "Key": visible(exchange.key, limit=100),
         },
     }
+
+
+def _cassette(exchange: Exchange) -> str | None:
+    return None if exchange.replayed is None else visible(exchange.replayed, limit=LONGEST)
 
 
 def _image(

@@ -78,9 +78,11 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
-        say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
+        held_by = choice["part"] or f"grasp {choice['index']}"
+        say(console, f"choice: {held_by}. {choice['reason']}")
         if choice["status"] != "ok":
-            say(console, f"status: {choice['status']}")
+            who = "status" if record["vlm"] is None else "the model"
+            say(console, f"{who}: {choice['status']}")
     held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
     say(
         console,
@@ -106,9 +108,11 @@ def print_answers(console: Console, record: "EpisodeRecord") -> None:
         said = "did not answer" if answer is None else f'answered "{_end(answer)}"'
         message = visible(exchange["message"], limit=2 * LONGEST)
         trouble = "" if status == "ok" else f" ({status}: {message})"
-        took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]])
+        from_file = exchange["replayed"]
+        took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]], [from_file])
+        took = f"in {took}" if from_file is None else f"({took})"
         name = visible(exchange["model"] or vlm["model"], limit=LONGEST)
-        say(console, f"model: {name} {said}{trouble} in {took}")
+        say(console, f"model: {name} {said}{trouble} {took}")
     if vlm["fallback"]:
         say(console, f"fallback: {vlm['fallback']} chose, because the model's answer was no use")
 

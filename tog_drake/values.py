@@ -154,11 +154,12 @@ class Exchange:
     status: AnswerStatus
     message: str  # what is wrong with the answer; "" where nothing is
     model: str | None  # as the server named it; it may differ from what was asked for
-    seconds: float  # latency, that of the recording where it was replayed
+    seconds: float  # latency; where it was replayed that of the recording, 0 where not known
     tokens: dict[str, int] | None  # input, output, reasoning, as far as the server says
     cost: float | None  # [USD]; None where the price is not known
     points: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Where the answer points, whether or not that was of use: role -> (u, v) in the last image."""
+    replayed: str | None = None  # the cassette that had the answer; None: it was asked for now
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,10 @@ class ExchangeRecord(TypedDict):
     status: str
     message: str  # what is wrong with the answer
     model: str | None  # as the server named it
-    seconds: float  # latency; of a replay, that of the recording
+    seconds: float  # latency; of a replay, that of the recording; 0: not known
     tokens: dict[str, int] | None
     cost: float | None  # [USD]; null: the price is not known
+    replayed: str | None  # the cassette that had the answer; null: it was asked for now
 
 
 class VlmRecord(TypedDict):
@@ -61,6 +62,7 @@ def exchange_records(decision: Decision) -> list[ExchangeRecord]:
             seconds=round(exchange.seconds, 3),
             tokens=None if exchange.tokens is None else dict(exchange.tokens),
             cost=exchange.cost,
+            replayed=exchange.replayed,
         )
         for exchange in exchanges_of(decision)
     ]

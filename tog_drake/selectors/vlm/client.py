@@ -27,6 +27,7 @@ class Asked:
     key: str  # of the question, under which a cassette has it
     seconds: float  # latency, that of the recording where it was replayed
     cost: float | None  # [USD]; None where price or tokens are not known
+    replayed: str | None  # the cassette that had the reply; None: the model was asked
 
 
 class Client:
@@ -81,7 +82,14 @@ class Client:
             key=request.key,
             seconds=seconds,
             cost=self._prices.cost(self._api.url(), model, reply.tokens),
+            replayed=None if entry is None or self._cassette is None else str(self._cassette.path),
         )
+
+    @property
+    def replays(self) -> str | None:
+        """The cassette, where all answers and failures come from it; else None."""
+        cassette = self._cassette
+        return str(cassette.path) if cassette is not None and cassette.mode == "replay" else None
 
     def key(self, message: Message) -> str:
         """Returns the key under which ``message`` was asked last."""

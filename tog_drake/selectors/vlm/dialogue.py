@@ -90,6 +90,9 @@ class Dialogue:
         answer: Answer | None = None,
     ) -> None:
         reply = None if asked is None else asked.reply
+        replayed = self._client.replays if asked is None else asked.replayed
+        if asked is None and replayed is not None:
+            seconds = 0.0  # to look it up is no latency of the model
         text, images = _shown(message.parts)
         self.exchanges += (
             Exchange(
@@ -106,6 +109,7 @@ class Dialogue:
                 tokens=None if reply is None else reply.tokens,
                 cost=None if asked is None else asked.cost,
                 points=answer if isinstance(answer, dict) else {},
+                replayed=replayed,
             ),
         )
 
