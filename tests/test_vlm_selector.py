@@ -18,7 +18,7 @@ from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm.gemini import Gemini
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
-from tog_drake.values import Candidates, Grasps, Workspace
+from tog_drake.values import Candidates, Workspace
 
 SCENE = bar_scene(n=19)
 TASK = "pick up the box"  # any part will do: the geometric selector can choose, too
@@ -332,6 +332,7 @@ def test_without_a_task_nobody_is_asked():
         ({"rendering": "photo"}, r"rendering: 'photo'; valid: marked, paper"),
         ({"votes": 3}, r"votes: 3; valid: 1, 2"),
         ({"votes": 2, "strategy": "cpg"}, r"votes: 2 .* cpg .* gsi, cpsi, gmi, cpmi"),
+        ({"nearest": "finger"}, r"nearest: 'finger'; valid: contact, both"),
         ({"fallback": "first"}, r"fallback: 'first'; valid: fail, geometric"),
         ({"deadline": 0.0}, r"deadline: 0; valid: above 0"),
         ({"deadline": float("nan")}, r"deadline: nan; valid: above 0"),
@@ -382,9 +383,58 @@ def test_a_slip_in_the_scenario_is_named_with_what_would_be_valid(text, said):
         parse_scenario(f"pipeline: {{selector: {text}}}", "test", Scenario())
 
 
-def test_two_equal_grasps_and_one_point_are_enough():
-    grasps = Grasps(np.eye(4)[None], np.array([0.03]), np.array([0.5]), SCENE.points[:1].copy())
-    alone = Candidates(grasps, np.array([0]), np.array([0]))
+@pytest.mark.parametrize("strategy", ["gmi", "gsi"])
+def test_two_equal_grasps_are_told_apart_by_their_marks(strategy):
+    same = SCENE.candidates.grasps.take(np.array([4, 4]))
+    twins = Candidates(same, np.array([0, 1]), np.array([0, 1]))
+    picked = set()
+    for answer in ("1", "2"):
+        with saying(f"Final answer: {answer}") as server:
+            asking = config(server, strategy=strategy, rendering="marked")
+            choice = select(asking, candidates=twins)
+        assert choice.index == choice.exchanges[0].marks[answer]
+        picked.add(choice.index)
+    assert picked == {0, 1}
+
+
+def test_a_single_candidate_is_asked_about_once_however_many_votes_there_are():
+    alone = Candidates(SCENE.candidates.grasps.take(np.array([4])), np.array([0]), np.array([0]))
     with saying("Final answer: 1") as server:
-        choice = select(config(server, strategy="gmi"), candidates=alone)
+        choice = select(config(server, strategy="gmi", votes=2), candidates=alone)
+    assert len(server.received) == len(choice.exchanges) == 1
     assert (choice.index, choice.alternatives) == (0, ())
+    assert "permuted" not in choice.reason
+
+
+@pytest.mark.parametrize(
+    ("rendering", "nearest", "rule"),
+    [
+        ("paper", None, "its contact is"),
+        ("marked", None, "the farther of its two contacts is"),
+        ("paper", "both", "the farther of its two contacts is"),
+        ("marked", "contact", "its contact is"),
+    ],
+)
+def test_which_contact_counts_is_a_setting_and_as_published_by_default_in_paper(
+    rendering, nearest, rule
+):
+    scene = replace(SCENE, rendering=rendering)
+
+    def answer(text, images):
+        x, y = to_picture(scene, images[0], (0.5, 0.0, 0.03))
+        return f'[{{"x": {x:.0f}, "y": {y:.0f}, "label": "grasp"}}]'
+
+    with VlmServer(answer) as server:
+        asking = config(server, strategy="cpg", rendering=rendering, nearest=nearest)
+        assert rule in select(asking).reason
+
+
+@pytest.mark.parametrize("strategy", ["gsi", "cpsi"])
+def test_more_candidates_than_colours_are_refused_before_anything_is_rendered(strategy):
+    model = OpenAi(model="any", base_url="http://127.0.0.1:9/v1")
+    crowd = PipelineConfig(selector=Vlm(strategy=strategy, model=model))
+    crowd.candidates.k = "20"
+    with pytest.raises(InputError, match=r"20 candidates .*\(--k\) to at most 12.* gmi or cpmi"):
+        make_selector(crowd, seed=0)
+    crowd.selector.strategy = "gmi"
+    assert isinstance(make_selector(crowd, seed=0), VlmSelector)

@@ -8,7 +8,7 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from tog_drake.camera import Camera
-from tog_drake.candidates import CandidatePicker, CandidatesConfig
+from tog_drake.candidates import CandidatePicker, CandidatesConfig, candidate_counts
 from tog_drake.cloud import CloudConfig, SceneCloud
 from tog_drake.compliance import PartLabels
 from tog_drake.errors import EpisodeError, InputError
@@ -22,6 +22,7 @@ from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.oracle import Oracle, OracleSelector
+from tog_drake.selectors.strategies import CROWDED, check_count
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer
 from tog_drake.values import (
@@ -223,6 +224,9 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
         case Random():
             return RandomSelector(seed=seed)
         case Vlm():
+            k, _ = candidate_counts(config.candidates)
+            if k is not None and config.selector.strategy in CROWDED:
+                check_count(k)
             return VlmSelector(config.selector, config.workspace, seed=seed)
         case Oracle():
             raise InputError(

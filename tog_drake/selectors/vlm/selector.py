@@ -18,7 +18,7 @@ from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
-from tog_drake.selectors.scene import Pick, Scene
+from tog_drake.selectors.scene import Nearest, Pick, Scene
 from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
 from tog_drake.selectors.vlm.cassette import Cassette, Mode
 from tog_drake.selectors.vlm.client import Client
@@ -41,7 +41,11 @@ class Vlm:
     strategy: str = "gsi"  # gsi, cpsi, gmi, cpmi, cpg, pivot or avoid: see selectors/strategies.py
     model: ModelConfig | None = None  # whom to ask; replay needs none, the cassette names it
     rendering: str = "marked"  # marked: numbered discs and a close-up; paper: colours, as published
-    votes: int = 1  # 2: asked again with permuted marks; two different answers are none
+    votes: int = 1  # 2: asked again with permuted marks, if there are several; they must agree
+    nearest: str | None = None
+    """Which contact of a grasp counts where a model points: "contact" (as published: the one that
+    the grasp was proposed at) or "both" (the farther of the two, at most 6 cm away in the first
+    place). None: "contact" with the rendering "paper", else "both"."""
     fallback: str | None = None
     """Where no answer can be used: "fail" raises NoChoice, "geometric" lets the geometric selector
     choose and says so. None: "geometric" in `tog run` and `tog choose`, "fail" elsewhere."""
@@ -83,19 +87,22 @@ class VlmSelector:
                 could not choose either; with its status and what was said.
             NoGrasp: there is no feasible grasp.
             QuestionPending: a question is to be asked elsewhere.
-            InputError: the task is empty, there are more candidates than colours, a question is
-                not on the cassette, or a key is missing.
+            InputError: the task is empty, there are more candidates than colours, the view is too
+                large for the model, a question is not on the cassette, or a key is missing.
         """
         read_task(task)
         if len(candidates) == 0:
             raise NoGrasp("There is no feasible grasp to choose from.")
+        rendering: Rendering = "paper" if self._config.rendering == "paper" else "marked"
+        nearest = self._config.nearest or ("contact" if rendering == "paper" else "both")
         scene = Scene(
             view=view,
             points=np.asarray(cloud.xyzs().T, dtype=np.float64),
             candidates=candidates,
             task=task,
-            rendering="paper" if self._config.rendering == "paper" else "marked",
+            rendering=rendering,
             seed=self._seed,
+            nearest="contact" if nearest == "contact" else "both",
         )
         dialogue = Dialogue(
             self._client,
@@ -121,7 +128,9 @@ class VlmSelector:
         strategy = STRATEGIES[self._config.strategy]
         picks: list[Pick] = []
         pending: list[Request] = []  # the votes do not wait for each other
-        for vote in range(self._config.votes):
+        # A single candidate cannot be permuted: a second question would be the same.
+        votes = self._config.votes if len(scene.candidates.index) > 1 else 1
+        for vote in range(votes):
             try:
                 picks.append(strategy(replace(scene, permutation=vote), dialogue.ask))
             except QuestionPending as question:
@@ -192,6 +201,8 @@ def _check(config: Vlm) -> None:
     """Raises InputError for a field that is out of its bounds."""
     _one_of("strategy", config.strategy, STRATEGIES)
     _one_of("rendering", config.rendering, get_args(Rendering))
+    if config.nearest is not None:
+        _one_of("nearest", config.nearest, get_args(Nearest))
     if config.fallback is not None:
         _one_of("fallback", config.fallback, FALLBACKS)
     if config.votes not in (1, 2):
