@@ -65,6 +65,13 @@ def test_a_cassette_is_recorded_or_replayed_never_both(tmp_path):
     assert (replayed.record, replayed.replay) == (None, str(tmp_path / "old.jsonl"))
 
 
+def test_to_replay_leaves_the_model_that_the_scenario_has(tmp_path):
+    (tmp_path / "old.jsonl").write_text("")
+    model = OpenAi("any", "http://127.0.0.1:9/v1", max_tokens=777, effort="low")
+    selector = applied(scenario=Vlm(model=model), vlm=f"replay:{tmp_path / 'old.jsonl'}")
+    assert (selector.model, selector.replay) == (model, str(tmp_path / "old.jsonl"))
+
+
 BAD = {
     "strategy alone": ((*RUN, "--strategy", "cpg"), ["--strategy", "--vlm openai:MODEL@URL"]),
     "record alone": ((*RUN, "--record", "c.jsonl"), ["--record", "--vlm"]),

@@ -160,7 +160,6 @@ class SelectorOptions:
             if self.replay is not None or self.profile is not None:
                 other = "--replay" if self.replay is not None else "--profile"
                 raise InputError(f"{other} with --vlm {self.vlm}: the cassette says it; valid: one")
-            config.model = None
             return Path(self.vlm.removeprefix(_REPLAY))
         if self.vlm is not None:
             config.model = read_specification(self.vlm, self.profile)

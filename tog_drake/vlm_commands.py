@@ -238,6 +238,9 @@ def import_(
         Path, typer.Argument(help="Results of a batch, or answers.jsonl filled in by hand.")
     ],
     cassette: Annotated[Path, typer.Option(help="File with the questions, from tog vlm export.")],
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Correct answers that were given by hand before.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Enter answers from elsewhere, as many as there are. Exit 1: some were of no use."""
@@ -247,13 +250,15 @@ def import_(
     console = console_for(as_json)
     if not cassette.is_file():
         raise InputError(f"there is no cassette {cassette}; tog vlm export writes one")
-    imported = import_answers(Cassette(cassette, "export"), read_answers(answers))
+    imported = import_answers(
+        Cassette(cassette, "export"), read_answers(answers), replace_by_hand=replace
+    )
     for problem in imported.problems:
         say(console, f"not used: {problem}")
     say(
         console,
-        f"answers: {imported.added} added, {imported.known} known already, {imported.empty} left "
-        f"empty, {len(imported.problems)} not used",
+        f"answers: {imported.added} added, {imported.replaced} replaced, {imported.known} known "
+        f"already, {imported.empty} left empty, {len(imported.problems)} not used",
     )
     say(
         console,

@@ -1,9 +1,10 @@
 """Questions to a model and its answers in a file: asked once, replayed as often as one likes.
 
 A cassette is a file of lines as in ``recorded``. Of several lines of one key the last holds, but
-for a response, which is final. Each image lies once in ``<stem>.images/<hex>.png`` beside the
-cassette. Headers are never written, and whatever part of a key a server sends back is taken out
-by ``transport``: there is no key in a cassette.
+for a response, which is final, unless it was given by hand and is corrected by hand. Each image
+lies once in ``<stem>.images/<hex>.png`` beside the cassette. Headers are never written, and
+whatever part of a key a server sends back is taken out by ``transport``: there is no key in a
+cassette.
 """
 
 import fcntl
@@ -15,9 +16,15 @@ from typing import Any, Literal, NoReturn
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.question import Unanswered
-from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry, write_entry
+from tog_drake.selectors.vlm.recorded import (
+    MAX_LINE,
+    Recorded,
+    opencv_version,
+    read_entry,
+    write_entry,
+)
 from tog_drake.selectors.vlm.request import QuestionPending, Request, save_images
-from tog_drake.selectors.vlm.specification import ModelConfig, read_specification
+from tog_drake.selectors.vlm.specification import ModelConfig
 
 Mode = Literal["record", "replay", "export"]
 """record: what has no answer yet is asked, and added. replay: it is an error. export: it is
@@ -70,13 +77,17 @@ class Cassette:
         Raises:
             InputError: there is none, or more than one.
         """
-        models = {(entry.model, entry.profile) for entry in self._known.values()}
+        models = {
+            f"{entry.model} ({entry.profile}, max_tokens {entry.max_tokens}, effort "
+            f"{entry.effort or 'not given'})": entry
+            for entry in self._known.values()
+        }
         if len(models) == 1:
-            return read_specification(*models.pop())
-        names = ", ".join(f"{model} ({profile})" for model, profile in sorted(models))
+            return models.popitem()[1].config()
         raise InputError(
             f"{self.path} holds questions to {len(models)} models"
-            + (f": {names}; say which with --vlm" if models else "; record some with --record")
+            + (f": {', '.join(sorted(models))}" if models else "; record some with --record")
+            + ("; say which with --vlm, or as the model of a scenario" if models else "")
         )
 
     def lookup(self, request: Request) -> Recorded | None:
@@ -84,6 +95,7 @@ class Cassette:
 
         Raises:
             Unanswered: it was asked in vain, and that is replayed.
+            InputError: what is recorded on was answered by another model or server.
             NotRecorded: it has no answer, and nobody may be asked.
             QuestionPending: it has no answer, and is to be asked elsewhere.
         """
@@ -92,6 +104,11 @@ class Cassette:
             self._read_on()
             found = self._known.get(request.key)
         if found is not None and found.response is not None:
+            if self.mode == "record" and found.model != request.model:
+                raise InputError(
+                    f"{self.path} has the answer of {found.model} to a question to "
+                    f"{request.model}; valid: another file for --record, or --replay {self.path}"
+                )
             return found
         if self.mode == "replay":
             self._refuse(request, found)
@@ -161,8 +178,16 @@ class Cassette:
         raise NotRecorded(
             f"{self.path} has no answer to {what}: it was not asked with this scene, seed, task, "
             "strategy, rendering, model, max_tokens and effort. Ask with "
-            f"--record {self.path} in place of --replay"
+            f"--record {self.path} in place of --replay" + self._drawn_elsewhere()
         )
+
+    def _drawn_elsewhere(self) -> str:
+        """Says so where another version of OpenCV drew the images: its letters differ."""
+        here = opencv_version()
+        others = {entry.opencv for entry in self._known.values()} - {here}
+        if not others:
+            return ""
+        return f". Its images were drawn with OpenCV {', '.join(sorted(others))}; here is {here}"
 
     def _read_on(self) -> None:
         """Reads what has been added since, when nobody is in the middle of a line."""
@@ -211,4 +236,6 @@ def _says_more(entry: Recorded, known: Recorded | None) -> bool:
     """Whether a line changes what is known of its question."""
     if known is None:
         return True
+    if known.source == entry.source == "hand" and entry.response is not None:
+        return bool(entry.response != known.response)
     return known.response is None and not entry.pending

@@ -85,6 +85,7 @@ class Api(Protocol):
 
     model: str  # as it is asked for
     max_tokens: int  # of an answer, reasoning included
+    effort: str | None  # of reasoning; None: the server's default
 
     @property
     def provider(self) -> str:
