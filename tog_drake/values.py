@@ -159,7 +159,9 @@ class Exchange:
     cost: float | None  # [USD]; None where the price is not known
     points: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Where the answer points, whether or not that was of use: role -> (u, v) in the last image."""
-    replayed: str | None = None  # the cassette that had the answer; None: it was asked for now
+    replayed: str | None = field(default=None, compare=False)
+    """The cassette that had the answer; None: it was asked for now. Where an answer comes from is
+    no part of the decision: a replay equals what was recorded."""
 
 
 @dataclass(frozen=True)
