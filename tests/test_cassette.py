@@ -17,7 +17,7 @@ from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.cassette import Cassette, NotRecorded
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.question import Message, Unanswered
-from tog_drake.selectors.vlm.recorded import MAX_LINE, read_entry
+from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry
 from tog_drake.selectors.vlm.request import (
     QuestionPending,
     Request,
@@ -181,7 +181,7 @@ def test_in_export_an_unanswered_question_is_raised_with_all_that_sends_it(path)
 
 def test_two_models_in_one_cassette_must_be_told_apart(path):
     cassette = Cassette(path, "record")
-    with pytest.raises(InputError, match=r"0 models.*--record"):
+    with pytest.raises(InputError, match=r"is empty.*--record"):
         cassette.model()
     cassette.add(request(), said("2"), seconds=0)
     cassette.add(replace(request("b"), model="gemini:x"), said("2"), seconds=0)
@@ -246,11 +246,25 @@ def test_a_line_that_a_killed_process_left_is_left_out_and_said(path, caplog):
     path.write_bytes(whole + whole[:-20])
     with caplog.at_level(logging.WARNING):
         cassette = Cassette(path, "record")
-    assert "line 2 is torn" in caplog.text
+        Cassette(path, "replay")  # as where options are tried before the run
+    assert caplog.text.count("line 2 is torn") == 1
     assert cassette.lookup(request()).response == said("2")
     cassette.add(request("next"), said("3"), seconds=0)
     assert len(Cassette(path, "replay").questions) == 2
     assert len(path.read_bytes().splitlines()) == 2
+
+
+def test_a_miss_says_what_the_cassette_holds(path):
+    path.write_text("")
+    with pytest.raises(NotRecorded, match=r"is empty.*--record"):
+        Cassette(path, "replay").lookup(request())
+    cassette = Cassette(path, "record")
+    for n in range(6):
+        cassette.enter(replace(Recorded.of(request(f"first {n}")), model=f"openai:m{n}"))
+    with pytest.raises(NotRecorded) as miss:
+        Cassette(path, "replay").lookup(request("second"))
+    held = "It holds gsi/1 of openai:m0, gsi/1 of openai:m1, gsi/1 of openai:m2, gsi/1 of openai:m3"
+    assert f"{held} and 2 more" in str(miss.value)
 
 
 def test_a_whole_line_without_its_newline_is_kept(path, caplog):

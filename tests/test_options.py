@@ -9,8 +9,10 @@ from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.strategies import STRATEGIES
+from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.profiles import PROFILES
+from tog_drake.selectors.vlm.recorded import Recorded
 from tog_drake.selectors.vlm.selector import FALLBACKS, Vlm
 
 MODEL = "openai:any@http://127.0.0.1:9/v1"
@@ -40,6 +42,13 @@ def test_to_name_a_model_is_to_choose_by_it():
     assert (selector.strategy, selector.rendering, selector.votes) == ("cpg", "paper", 1)
     assert selector.model == OpenAi(model="any", base_url="http://127.0.0.1:9/v1")
     assert selector.fallback == "geometric"  # where nobody says otherwise
+
+
+def test_to_name_a_cassette_to_replay_is_to_choose_by_it_too(tmp_path):
+    tape = tmp_path / "c.jsonl"
+    question = Recorded("0" * 64, "/v1", {}, "gemini:gemini-9", "gemini", "gsi/1")
+    Cassette(tape, "record").enter(question)
+    assert applied(replay=tape) == applied(vlm=f"replay:{tape}") == Vlm(replay=str(tape))
 
 
 def test_what_is_not_given_stays_as_the_scenario_has_it():

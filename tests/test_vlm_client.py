@@ -189,6 +189,22 @@ def test_broken_http_ends_in_a_typed_status(server, data):
     assert caught(server, "openai").status in {"unreachable", "truncated", "rejected"}
 
 
+def test_https_to_a_server_without_it_is_said_so(server):
+    url = server.base_url("openai").replace("http:", "https:")
+    asking = Client(read_specification(f"openai:any@{url}"), profile="pixels")
+    with pytest.raises(Unanswered, match="does not speak https; is it http://") as info:
+        asking.ask(MESSAGE, time.monotonic() + 5.0)
+    assert info.value.status == "unreachable"
+
+
+@pytest.mark.parametrize(("provider", "hint"), [("openai", "most end in /v1"), ("gemini", "right")])
+def test_what_may_be_wrong_with_an_address_is_said_for_its_protocol(server, provider, hint):
+    server.misbehave(status(404), always=True)
+    said = str(caught(server, provider))
+    assert hint in said
+    assert ("/v1)" in said) == (provider == "openai")
+
+
 @pytest.mark.parametrize("provider", PROVIDERS)
 def test_ten_megabytes_are_not_read_to_their_end(server, provider):
     server.misbehave(vlm_server.huge)

@@ -76,6 +76,10 @@ def test_a_run_goes_on_where_somebody_answered_its_question_by_hand(tmp_path, mo
     assert imported.status == 0, imported.err
     assert "1 added" in imported.out
     assert "1 answered, 0 pending" in imported.out
+    assert "then: the same tog vlm export again" in imported.out
+    again = tog("vlm", "import", out / "answers.jsonl", "--cassette", tape)
+    assert "1 known already" in again.out
+    assert "then:" not in again.out
 
     view, cloud, candidates, by_hand = looked(config(replay=tape))
     assert by_hand.exchanges[0].key == entry.key
@@ -122,7 +126,7 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     ("options", "words"),
     [
         ((), ("--task for one scenario, or --scenarios",)),
-        (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or",)),
+        (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or", "not both")),
         (("--scenarios", "objects", "--seed", 3), ("--seeds",)),
         (("--task", "..."), ("no words",)),
         (("--task", TASK, "--strategy", "gpt"), ("strategy", "gsi, cpsi")),

@@ -120,6 +120,21 @@ def test_what_was_probably_meant_is_said_and_is_valid(text, meant):
     read_specification(meant, profile="pixels")
 
 
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        ("openai:any@http://h:1/v1/chat/completions", "http://h:1/v1"),
+        ("openai:any@http://h:1/v1/chat/completions/", "http://h:1/v1"),
+        ("anthropic:claude-opus-5@http://h/v1/messages", "http://h"),
+        ("anthropic:claude-opus-5@http://h/v1", "http://h"),
+        ("gemini:gemini-9@http://h/v1beta", "http://h"),
+    ],
+)
+def test_an_address_of_an_endpoint_is_refused_with_the_right_one(text, right):
+    with pytest.raises(InputError, match=f"; valid: {right}$"):
+        read_specification(text)
+
+
 @given(st.text() | st.from_regex(r"(openai|gemini|qwen):[^ ]{0,9}@https?://.{0,9}", fullmatch=True))
 @example("openai:any@http://a..b/v1")
 def test_every_text_is_a_model_or_is_refused(text):

@@ -75,7 +75,8 @@ RecordOption = Annotated[
     Path | None, typer.Option(help="File that keeps questions and answers; none is asked twice.")
 ]
 ReplayOption = Annotated[
-    Path | None, typer.Option(help="Such a file to take all answers from; nothing is sent.")
+    Path | None,
+    typer.Option(help="Such a file to take all answers from, and the model; nothing is sent."),
 ]
 
 
@@ -111,7 +112,9 @@ class SelectorOptions:
         from tog_drake.pipeline import SELECTORS
         from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 
-        selector = "vlm" if self.selector is None and self.vlm is not None else self.selector
+        selector = self.selector
+        if selector is None and (self.vlm is not None or self.replay is not None):
+            selector = "vlm"  # to name a model, or a cassette that names one, is to choose by it
         if selector is not None:
             kind = valid(selector, SELECTORS, "selector")
             if not isinstance(config.selector, kind):

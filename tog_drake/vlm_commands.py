@@ -179,7 +179,10 @@ def export(
     check_folder(out)
     check_file(cassette, "--cassette")
     if (task is None) == (scenarios is None):
-        raise InputError("what is to be asked? valid: --task for one scenario, or --scenarios")
+        both = "" if task is None else ", not both"
+        raise InputError(
+            f"what is to be asked? valid: --task for one scenario, or --scenarios{both}"
+        )
     if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
         raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
     if scenarios is None:
@@ -264,6 +267,7 @@ def import_(
         console,
         f"questions in {cassette}: {imported.answered} answered, {imported.pending} pending",
     )
-    say(console, "then: the same tog vlm export again, for what is pending and further questions")
+    if imported.added:
+        say(console, "then: the same tog vlm export again, for what is pending and more questions")
     print_json(as_json, vars(imported))
     raise typer.Exit(1 if imported.problems else 0)

@@ -11,6 +11,7 @@ import fcntl
 import logging
 import os
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
@@ -29,6 +30,7 @@ from tog_drake.selectors.vlm.specification import ModelConfig
 Mode = Literal["record", "replay", "export"]
 """record: what has no answer yet is asked, and added. replay: it is an error. export: it is
 collected, to be asked elsewhere."""
+_SHOWN = 4  # of what a cassette holds, in a message
 MAX_FILE = 1_000_000_000  # [byte]
 
 _log = logging.getLogger(__name__)
@@ -55,7 +57,6 @@ class Cassette:
         self._known: dict[str, Recorded] = {}
         self._offset = 0  # [byte] up to which the file has been read, whole lines
         self._lines = 0  # as many as these
-        self._torn_at = -1
         if mode == "replay" and not self.path.is_file():
             raise InputError(
                 f"there is no cassette {self.path} to replay; record one with --record {self.path}"
@@ -84,10 +85,11 @@ class Cassette:
         }
         if len(models) == 1:
             return models.popitem()[1].config()
+        if not models:
+            raise InputError(f"{self.path} is empty; record some questions with --record")
         raise InputError(
-            f"{self.path} holds questions to {len(models)} models"
-            + (f": {', '.join(sorted(models))}" if models else "; record some with --record")
-            + ("; say which with --vlm, or as the model of a scenario" if models else "")
+            f"{self.path} holds questions to {len(models)} models: {', '.join(sorted(models))}; "
+            "say which with --vlm, or as the model of a scenario"
         )
 
     def lookup(self, request: Request) -> Recorded | None:
@@ -175,11 +177,23 @@ class Cassette:
                 f"{self.path}: {what} still waits for its answer: give it with `tog vlm import`, "
                 f"or ask the model with --record {self.path}"
             )
+        if not self._known:
+            raise NotRecorded(
+                f"{self.path} is empty: no answer to {what}. Ask with --record {self.path} in "
+                "place of --replay"
+            )
         raise NotRecorded(
             f"{self.path} has no answer to {what}: it was not asked with this scene, seed, task, "
             "strategy, rendering, model, max_tokens and effort. Ask with "
-            f"--record {self.path} in place of --replay" + self._drawn_elsewhere()
+            f"--record {self.path} in place of --replay. It holds {self._contents()}"
+            + self._drawn_elsewhere()
         )
+
+    def _contents(self) -> str:
+        """Which prompts of which models there are, in a few words."""
+        held = sorted({f"{entry.prompt} of {entry.model}" for entry in self._known.values()})
+        more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
+        return ", ".join(held[:_SHOWN]) + more
 
     def _drawn_elsewhere(self) -> str:
         """Says so where another version of OpenCV drew the images: its letters differ."""
@@ -214,7 +228,7 @@ class Cassette:
                 except InputError:
                     if ended or len(data) > MAX_LINE:
                         raise
-                    self._warn(where)
+                    _warn_torn(where)
                     return "torn"
                 if not ended:
                     return "open"
@@ -226,10 +240,10 @@ class Cassette:
         if entry is not None and _says_more(entry, self._known.get(entry.key)):
             self._known[entry.key] = entry
 
-    def _warn(self, where: str) -> None:
-        if self._torn_at != self._offset:  # once
-            self._torn_at = self._offset
-            _log.warning("%s is torn, perhaps by a process that was killed; left out", where)
+
+@cache  # once, however many read the file: the options are tried before the run
+def _warn_torn(where: str) -> None:
+    _log.warning("%s is torn, perhaps by a process that was killed; left out", where)
 
 
 def _says_more(entry: Recorded, known: Recorded | None) -> bool:

@@ -86,6 +86,11 @@ class Client:
         )
 
     @property
+    def model(self) -> str:
+        """Its name, as it is asked for."""
+        return self._api.model
+
+    @property
     def replays(self) -> str | None:
         """The cassette, where all answers and failures come from it; else None."""
         cassette = self._cassette

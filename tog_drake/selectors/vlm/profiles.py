@@ -98,7 +98,8 @@ def find_profile(model: str, named: str | None = None) -> Profile:
             return profile
     raise InputError(
         f"how the model {model!r} tells coordinates is not known, and it is not guessed: name its "
-        f"profile (--profile, or `profile:` in the scenario), one of {names}"
+        f"profile (--profile, or `profile:` in the scenario), one of {names}. `tog vlm check "
+        "--vlm ... --profile NAME` finds out which"
     )
 
 

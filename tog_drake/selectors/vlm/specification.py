@@ -69,6 +69,17 @@ def _meant(text: str) -> str:
     return f"; did you mean {meant}"
 
 
+def _without_endpoint(config: ModelConfig) -> str | None:
+    """The base of an URL that was copied with what is added to it; None where it is the base."""
+    base = config.base_url.rstrip("/")
+    added = config.url().removeprefix(base)
+    version = re.match(r"/v[0-9][^/]*", added)  # Anthropic's and Gemini's
+    for end in (added, version[0] if version else added):
+        if base.endswith(end):
+            return base.removesuffix(end)
+    return None
+
+
 def check_model(config: ModelConfig) -> None:
     """Raises InputError for a model that cannot be asked, whatever its server is."""
     if not config.model:
@@ -88,6 +99,11 @@ def check_model(config: ModelConfig) -> None:
             f"base_url of {config.model} is no URL of scheme, host and path alone; valid: one such "
             "as http://localhost:8000/v1. A key goes into an environment variable such as "
             f"{ELSEWHERE}"
+        )
+    if (base := _without_endpoint(config)) is not None:
+        raise InputError(
+            f"base_url {config.base_url} has a part of {config.url()[len(base) :]} already, which "
+            f"is added to it; valid: {base}"
         )
     if isinstance(config, Molmo | Qwen) and config.profile is None:
         family = type(config).__name__
