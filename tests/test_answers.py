@@ -354,6 +354,21 @@ def test_what_is_no_point_for_sure_is_none(profile, said, status):
     assert _read(said, ONE, profile) == status
 
 
+@pytest.mark.parametrize(
+    "label",
+    ["do not grasp here", "avoid", "no suitable place", "don't touch", "grasp: not here", "not",
+     "keep off", "Grasp (avoid)", "do_not_grasp"],
+)  # fmt: skip
+@pytest.mark.parametrize("expects", [ONE, TWO], ids=["one", "two"])
+def test_a_label_that_speaks_against_a_place_does_not_make_it_the_one_to_grasp(label, expects):
+    said = json.dumps([{"point": [500, 250], "label": label}, {"point": [9, 9], "label": "avoid"}])
+    assert _read(said, expects, "gemini") == "ambiguous"
+    if expects is ONE:
+        assert _read(json.dumps({label: [500, 250]}), ONE, "gemini") == "ambiguous"
+        said = f'<points coords="1 1 250 500">{label}</points>'
+        assert _read(said, ONE, "molmo2") == "ambiguous"
+
+
 GRASP, AVOID = (159.5, 239.5), (319.5, 119.5)
 
 

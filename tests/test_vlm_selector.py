@@ -9,12 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydrake.perception import BaseField, Fields, PointCloud
 from test_strategies import bar_scene, to_picture, without_middle
-from vlm_server import KEY, Spoken, VlmServer, hang, status
+from vlm_server import KEY, Spoken, VlmServer, cut, hang, status
 
 from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.pinhole import project
 from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.scenario import Scenario, parse_scenario
+from tog_drake.selectors.vlm import transport
 from tog_drake.selectors.vlm.gemini import Gemini
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
@@ -95,6 +96,17 @@ def test_an_answer_that_cannot_be_read_is_asked_for_once_more(useless, found):
     assert choice.status == "ok"
     asked = [r.body["max_tokens"] for r in server.received]
     assert asked == ([500, 2000] if found == "truncated" else [500, 500])
+
+
+def test_a_cut_connection_is_not_asked_again_with_more_tokens(monkeypatch):
+    monkeypatch.setattr(transport, "FIRST_DELAY", 0.0)
+    with saying("Final answer: red") as server:
+        server.misbehave(cut, always=True)
+        with pytest.raises(NoChoice) as caught:
+            select(config(server))
+    assert caught.value.status == "unreachable"
+    assert len(caught.value.exchanges) == 1
+    assert {r.body["max_tokens"] for r in server.received} <= {500}
 
 
 def test_what_was_cut_off_is_not_read_even_if_it_could_be():

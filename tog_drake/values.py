@@ -123,7 +123,7 @@ AnswerStatus = Literal[
     "ok",
     "refused",  # the model would not say
     "empty",  # it said nothing
-    "truncated",  # it ran out of tokens before it answered, or the connection was cut
+    "truncated",  # it ran out of tokens before it answered
     "too_long",  # more text than is read
     "unreadable",  # no answer is found in what it said
     "ambiguous",  # more than one is
@@ -132,7 +132,7 @@ AnswerStatus = Literal[
     "off_object",  # a point on nothing that could be grasped
     "disagreed",  # two permutations of the same candidates, two answers
     "timed_out",  # no answer within the deadline
-    "unreachable",  # no connection, or the server is out of order
+    "unreachable",  # no connection, one that was cut, or the server is out of order
     "rejected",  # the server does not take the question: key, model name, parameters
 ]
 """What became of a question to a model."""

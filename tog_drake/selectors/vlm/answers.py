@@ -65,7 +65,7 @@ def read(text: str, profile: Profile, expects: Options | Points) -> Answer:
         Unanswered: empty, truncated, too_long, refused, unreadable, ambiguous, out_of_range or
             off_image; nothing else is raised, whatever the text.
     """
-    answer = _without_reasoning(text) if len(text) <= MAX_REASONING else text
+    answer = without_reasoning(text) if len(text) <= MAX_REASONING else text
     if len(answer) > MAX_LENGTH:
         raise Unanswered("too_long", f"{len(answer)} characters; at most {MAX_LENGTH} are read")
     answer = answer.strip()
@@ -131,7 +131,7 @@ def _how_written(profile: Profile, roles: tuple[str, ...]) -> tuple[str, str]:
 _THINKS = re.compile(r"<(/?)(?:think|thinking|thought|reasoning)>", re.IGNORECASE | re.ASCII)
 
 
-def _without_reasoning(text: str) -> str:
+def without_reasoning(text: str) -> str:
     """Returns what comes after the last thought; a thought that does not end is truncated."""
     marks = list(_THINKS.finditer(text))
     ends = [mark for mark in marks if mark.group(1)]

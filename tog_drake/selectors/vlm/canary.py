@@ -200,8 +200,8 @@ def _structured(profile: Profile, expects: Options | Points, exchange: Exchange)
     if exchange.status in _SILENT:
         return Finding("structured output", False, f"not tested: {exchange.status}", False)
     try:
-        said = json.loads(exchange.answer or "")
-    except (ValueError, RecursionError):
+        said = json.loads(answers.without_reasoning(exchange.answer or ""))
+    except (Unanswered, ValueError, RecursionError):
         said = None
     if isinstance(said, dict) and set(schema["required"]) <= said.keys():
         return Finding("structured output", True, "honoured", False)

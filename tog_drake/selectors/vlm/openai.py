@@ -20,6 +20,7 @@ _OPTIONAL = {
 }
 # One is the old name of the other; servers know the old one, the new one, or both.
 _LIMITS = ("max_tokens", "max_completion_tokens")
+_REASONING = ("reasoning", "reasoning_content", "thinking")  # where servers put it
 _FINISH: dict[str, Literal["length", "refusal"]] = {
     "length": "length",
     "content_filter": "refusal",
@@ -93,9 +94,13 @@ class OpenAi:
             raise Unanswered("unreachable", "the server's answer holds no choices[0].message")
         refusal = short_at(choice, "message", "refusal")
         finish = text_at(choice, "finish_reason")
+        text = _content(at(choice, "message", "content"))
+        # Nothing but reasoning: some servers say "stop" when it has used up the tokens.
+        thought = any(text_at(choice, "message", name) for name in _REASONING)
+        cut = thought and finish == "stop" and not text.strip()
         return Reply(
-            text=without_thoughts(_content(at(choice, "message", "content"))),
-            finish="refusal" if refusal else _FINISH.get(finish, "stop"),
+            text=text,
+            finish="refusal" if refusal else "length" if cut else _FINISH.get(finish, "stop"),
             model=short_at(body, "model") or None,
             tokens=token_counts(
                 count_at(body, "usage", "prompt_tokens"),
@@ -120,17 +125,6 @@ class Qwen(OpenAi):
 
     model: str = "Qwen/Qwen3-VL-8B-Instruct"
     base_url: str = "http://localhost:8000/v1"
-
-
-def without_thoughts(text: str) -> str:
-    """Returns what follows the last ``</think>``; nothing where a ``<think>`` is never closed.
-
-    Servers without a reasoning parser send the reasoning so, with the answer.
-    """
-    _, closed, answer = text.rpartition("</think>")
-    if not closed and text.lstrip().startswith("<think>"):
-        return ""
-    return answer
 
 
 def _part(part: str | Image, encode: Callable[[Image], str]) -> dict[str, Any]:

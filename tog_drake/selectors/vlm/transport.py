@@ -62,7 +62,7 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
 
     Raises:
         Rejected: the server does not take the request.
-        Unanswered: timed_out, unreachable, truncated or too_long. No message holds any part of a
+        Unanswered: timed_out, unreachable or too_long. No message holds any part of a
             key, even where the server repeats it.
     """
     data = json.dumps(body).encode()
@@ -164,7 +164,7 @@ def _text_of(response: "Response", deadline: float) -> str:
                 raise Unanswered("timed_out", "the answer is not complete at the deadline")
     except RequestException as error:
         message = f"the connection was cut in the answer ({type(error).__name__})"
-        raise _Again(Unanswered("truncated", message)) from None
+        raise _Again(Unanswered("unreachable", message)) from None
     return received.decode("utf-8", errors="replace")
 
 
