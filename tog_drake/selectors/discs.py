@@ -47,8 +47,9 @@ def place_discs(
 
     Args:
         size: width and height of the picture [pixel].
-        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred. NaN and
-            what lies out of the picture does not count.
+        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred. NaN does
+            not count, and what lies out of the picture only if all does: then the point of the
+            edge that is nearest to any. With NaN alone a disc names nothing, just its own place.
         lines: (M, 2, 2) [pixel] what must be seen.
         stems: (N, 2, 2) [pixel] lines that only the disc of the same row may hide, if any.
         things: (P, 2) [pixel] points that should be seen.
@@ -57,10 +58,7 @@ def place_discs(
     Raises:
         InputError: there is no room for so many discs.
     """
-    cells = np.stack(np.meshgrid(*(np.arange(side // STEP) for side in size)), axis=-1)
-    cells = cells.reshape(-1, 2)
-    inside = np.all((cells * STEP >= RADIUS) & (cells * STEP < np.array(size) - RADIUS), axis=1)
-    cells = cells[inside]
+    cells = _cells(size)
     places = (STEP * cells).astype(np.float64)
     seen = _drawn(size, lines, thickness)
     on_things = _ON_THINGS * _share(_drawn(size, _dots(things), _THING_SIZE), cells)
@@ -75,13 +73,8 @@ def place_discs(
             )
         others = _drawn(size, np.delete(stems, i, axis=0), thickness)
         distance, named = _nearest(places, _within(anchor, size))
-        cost = distance + on_things + _ON_STEMS * _share(others, cells)
-        cost += _ON_LINE * (_clearance(seen, cells) < RADIUS + GAP)
-        cost[~free] = np.inf
-        tried = np.argsort(cost, kind="stable")[:_TRIED]
-        crossed = _ON_LINE * _crossed(seen, places[tried], named[tried])
-        crossed += _ON_STEMS * _crossed(others, places[tried], named[tried])
-        best = tried[np.argmin(cost[tried] + crossed)]
+        cost = np.where(free, distance + on_things, np.inf)
+        best = _cheapest(cost, cells, places, named, seen=seen, others=others)
         centers[i], targets[i] = places[best], named[best]
         free &= np.hypot(*(places - centers[i]).T) >= 2 * RADIUS + GAP
         seen |= _drawn(size, np.stack([centers[i], targets[i]])[None], 1.0)
@@ -89,18 +82,48 @@ def place_discs(
     return centers, targets
 
 
+def _cells(size: tuple[int, int]) -> NDArray[np.int64]:
+    """The cells (C, 2) of the grid where a disc has room."""
+    cells = np.stack(np.meshgrid(*(np.arange(side // STEP) for side in size)), axis=-1)
+    cells = cells.reshape(-1, 2)
+    inside = np.all((cells * STEP >= RADIUS) & (cells * STEP < np.array(size) - RADIUS), axis=1)
+    return np.asarray(cells[inside])
+
+
+def _cheapest(
+    cost: Array,
+    cells: NDArray[np.int64],
+    places: Array,
+    named: Array,
+    *,
+    seen: Mask,
+    others: Mask,
+) -> int:
+    """The best place, by what it costs (C,) and by what disc and leader would hide there."""
+    cost = cost + _ON_STEMS * _share(others, cells)
+    cost += _ON_LINE * (_clearance(seen, cells) < RADIUS + GAP)
+    tried = np.argsort(cost, kind="stable")[:_TRIED]
+    crossed = _ON_LINE * _crossed(seen, places[tried], named[tried])
+    crossed += _ON_STEMS * _crossed(others, places[tried], named[tried])
+    return int(tried[np.argmin(cost[tried] + crossed)])
+
+
 def _within(anchor: Array, size: tuple[int, int]) -> Array:
-    """The points of ``anchor`` (A, 2) in the picture; if none is, where it is nearest to them."""
+    """The points of ``anchor`` (A, 2) in the picture; if none is, the nearest of its edge."""
     edge = np.array(size) - 1.0
     inside = np.all((anchor >= 0) & (anchor <= edge), axis=1)  # False where NaN
     if inside.any():
         return anchor[inside]
     known = anchor[np.isfinite(anchor).all(axis=1)]
-    return np.clip(known, 0.0, edge) if len(known) else edge[None] / 2
+    at_edge = np.clip(known, 0.0, edge)
+    off = np.linalg.norm(known - at_edge, axis=1)
+    return np.asarray(at_edge[off == off.min(initial=np.inf)][:1])
 
 
 def _nearest(places: Array, anchor: Array) -> tuple[Array, Array]:
     """How far each place (C, 2) is from the anchor's nearest point, (C,), and that point (C, 2)."""
+    if len(anchor) == 0:
+        return np.zeros(len(places)), places
     later = _LATER * np.arange(len(anchor)) / max(1, len(anchor) - 1)
     u, v = np.ascontiguousarray(places.T)
     distance = np.hypot(u - anchor[:, :1], v - anchor[:, 1:]) + later[:, None]  # (A, C)
