@@ -219,4 +219,6 @@ def test_no_key_and_an_unknown_model_are_said_before_anything_is_sent(monkeypatc
     monkeypatch.delenv("ANTHROPIC_API_KEY")
     refused(tog("vlm", "check", "--vlm", "anthropic:claude-sonnet-5-5"), "ANTHROPIC_API_KEY")
     refused(tog("vlm", "check", "--vlm", "openai:m@http://127.0.0.1:9/v1"), "'m'", *PROFILES)
-    refused(tog("vlm", "check", "--vlm", "replay:x.jsonl"), "replay:x.jsonl", "openai:MODEL")
+    replayed = tog("vlm", "check", "--vlm", "replay:x.jsonl")
+    refused(replayed, "replay:x.jsonl", "openai:MODEL")
+    assert "replay" not in replayed.err.split("valid:")[1]

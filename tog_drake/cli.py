@@ -237,7 +237,18 @@ def choose(
 
 @app.command("eval", epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
 def evaluate_(
-    selectors: Annotated[str, typer.Option(help="Comma-separated.")] = "top-score,oracle",
+    selectors: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; by default top-score,oracle, and vlm with --vlm."),
+    ] = None,
+    strategy: StrategyOption = None,
+    vlm: ModelOption = None,
+    profile: ProfileOption = None,
+    rendering: RenderingOption = None,
+    votes: VotesOption = None,
+    fallback: FallbackOption = None,
+    record: RecordOption = None,
+    replay: ReplayOption = None,
     scenarios: Annotated[
         str,
         typer.Option(
@@ -263,9 +274,17 @@ def evaluate_(
 
     console = console_for(as_json)
     check_folder(out)
-    chosen = names(selectors)
+    chosen = names(selectors or ("top-score,oracle" if vlm is None else "vlm"))
     for selector in chosen:
         valid(selector, SELECTORS, "selector")
+    options = SelectorOptions(
+        None, strategy, vlm, profile, rendering, votes, fallback, record, replay
+    )
+    if "vlm" not in chosen and options.given():
+        raise InputError(
+            f"{', '.join(options.given())}: only a model is asked so; valid: with vlm among the "
+            "--selectors"
+        )
     cells = make_cells(
         scenario_names(names(scenarios)),
         chosen,
@@ -274,7 +293,7 @@ def evaluate_(
         noise=noise,
         text=scenario_text,
     )
-    rows = summarize(evaluate(cells, workers=workers, out=out, console=console))
+    rows = summarize(evaluate(cells, workers=workers, out=out, console=console, options=options))
     print_rates(console, rows)
     if "oracle" in chosen:
         say(console, f"oracle: {ORACLE_NOTE}")

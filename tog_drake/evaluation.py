@@ -1,10 +1,12 @@
 """Many episodes: every object, seed and task with each selector, and the table of successes."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -20,7 +22,7 @@ from tog_drake.episode import Episode, load_objects, run_episode
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
-from tog_drake.pipeline import SELECTORS
+from tog_drake.options import SelectorOptions
 from tog_drake.record import EpisodeRecord, selector_name
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.terminal import keep_drake_quiet
@@ -36,6 +38,8 @@ TASKS = {
 }
 # They do not read the task: one episode serves every task, and is judged for each.
 _TASK_BLIND = ("top-score", "random")
+
+DEFAULT = SelectorOptions()
 
 T = TypeVar("T")
 _BATCH = 20  # episodes between two renewals of the workers
@@ -116,16 +120,32 @@ def _tasks(labels: ObjectParts, kinds: Sequence[str], seed: int) -> Iterator[str
 
 
 def evaluate(
-    cells: Sequence[Cell], *, workers: int, out: Path, console: Console
+    cells: Sequence[Cell],
+    *,
+    workers: int,
+    out: Path,
+    console: Console,
+    options: SelectorOptions = DEFAULT,
 ) -> list[EpisodeRecord]:
     """Runs the episodes in ``workers`` processes; the records come in the order of the cells.
 
     Every finished episode is a line of ``out/episodes.jsonl`` at once, and one that failed leaves
     a picture of what was seen and chosen in ``out/failures``; pictures of an earlier run go away.
 
+    Args:
+        cells: the episodes.
+        workers: processes.
+        out: folder.
+        console: for the progress.
+        options: how a model is asked; they hold for the cells of the selector "vlm".
+
     Raises:
-        TogError: if an episode cannot be run at all, naming it.
+        InputError: a model cannot be asked so; nothing has been run then.
+        TogError: if an episode cannot be run at all, naming it, or the server does not take the
+            questions (a wrong key, a wrong model): every further episode would end likewise.
     """
+    for cell in {(cell.scenario, cell.selector): cell for cell in cells}.values():
+        _configured(cell, options)
     records: list[EpisodeRecord] = []
     out.mkdir(parents=True, exist_ok=True)
     for picture in (out / "failures").glob("*.png"):
@@ -133,17 +153,32 @@ def evaluate(
     with (
         (out / "episodes.jsonl").open("w", encoding="utf-8") as file,
         Progress(console=console) as progress,
+        closing(in_processes(partial(_run, out=out, options=options), cells, workers)) as results,
     ):
         bar = progress.add_task("episodes", total=len(cells))
-        for judged in in_processes(partial(_run, out=out), cells, workers):
+        for judged in results:
             records += judged
             file.write("".join(json.dumps(record) + "\n" for record in judged))
             file.flush()
+            _check_taken(judged[0])
             progress.advance(bar)
     return records
 
 
-def in_processes(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
+def _check_taken(record: EpisodeRecord) -> None:
+    """Raises TogError where the server did not take a question."""
+    vlm = record["vlm"]
+    if vlm is not None and vlm["status"] == "rejected":
+        said = [record["message"] or "", *(e["message"] for e in vlm["exchanges"])]
+        raise TogError(
+            f"{record['scenario']}, seed {record['seed']}: {vlm['model']} does not take the "
+            f"question, so the rest is not run: {said[-1]}"
+        )
+
+
+def in_processes(
+    work: Callable[[Cell], T], cells: Sequence[Cell], workers: int
+) -> Generator[T, None, None]:
     """Returns what ``work`` makes of each cell, in their order.
 
     Raises:
@@ -153,7 +188,9 @@ def in_processes(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int)
         yield from _run_batch(work, cells[start : start + _BATCH], workers)
 
 
-def _run_batch(work: Callable[[Cell], T], cells: Sequence[Cell], workers: int) -> Iterator[T]:
+def _run_batch(
+    work: Callable[[Cell], T], cells: Sequence[Cell], workers: int
+) -> Generator[T, None, None]:
     """Works in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
     with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
@@ -178,12 +215,17 @@ def cell_scenario(cell: Cell) -> Scenario:
     return scenario
 
 
-def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
+def _configured(cell: Cell, options: SelectorOptions) -> Scenario:
+    """Returns the scenario of a cell with its selector; what the scenario says of it stays."""
     scenario = cell_scenario(cell)
-    kind = SELECTORS[cell.selector]
-    if not isinstance(scenario.pipeline.selector, kind):  # what the scenario says of it stays
-        scenario.pipeline.selector = kind()
+    of_cell = options if cell.selector == "vlm" else DEFAULT
+    replace(of_cell, selector=cell.selector).apply(scenario.pipeline)
+    return scenario
+
+
+def _run(cell: Cell, out: Path, options: SelectorOptions) -> list[EpisodeRecord]:
     try:
+        scenario = _configured(cell, options)
         episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
     except InputError as error:
         raise InputError(f"{cell.name}: {error}") from error
@@ -258,12 +300,32 @@ def _row(
         count = sum(map(bool, values))
         row[name] = count / len(values)
         row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(values))
-    failures: dict[str, int] = {}
-    for outcome in (r["outcome"] for r in runs if r["outcome"] != "lifted"):
-        failures[outcome] = failures.get(outcome, 0) + 1
     row["collisions"] = sum(bool(r["collisions"]) for r in runs)
-    row["failures"] = ", ".join(f"{n} {outcome}" for outcome, n in failures.items())
+    row["failures"] = _failures(runs)
     return row
+
+
+def _failures(records: Sequence[EpisodeRecord]) -> str:
+    """Returns such as "1 slipped, 6 no_choice (unreachable 5, refused 1), by fallback 2 (empty 2)".
+
+    In brackets is what became of the questions to a model. What the fallback chose is not the
+    model's merit, whatever came of it.
+    """
+    outcomes = Counter(r["outcome"] for r in records if r["outcome"] != "lifted")
+    said = [
+        f"{n} {outcome}" + _statuses([r for r in records if r["outcome"] == outcome == "no_choice"])
+        for outcome, n in outcomes.items()
+    ]
+    replaced = [r for r in records if r["vlm"] is not None and r["vlm"]["fallback"]]
+    if replaced:
+        said.append(f"by fallback {len(replaced)}" + _statuses(replaced))
+    return ", ".join(said)
+
+
+def _statuses(records: Sequence[EpisodeRecord]) -> str:
+    counts = Counter(r["vlm"]["status"] for r in records if r["vlm"] and r["vlm"]["status"])
+    told = ", ".join(f"{status} {n}" for status, n in counts.most_common())
+    return f" ({told})" if told else ""
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:

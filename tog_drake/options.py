@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL, anthropic:MODEL or replay:FILE"
+MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL or anthropic:MODEL"
 MODEL_HELP = (
     "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL. Its key: OPENAI_API_KEY, "
     "GEMINI_API_KEY, ANTHROPIC_API_KEY; elsewhere than there or on this machine, VLM_API_KEY."
@@ -125,14 +125,14 @@ class SelectorOptions:
             wanted = VlmSelector(config.selector, config.workspace, seed=0)  # hears what is wrong
             if asks:
                 wanted.check_key()
-        elif given := self._given():
+        elif given := self.given():
             chooses = type(config.selector).__name__
             raise InputError(
                 f"{', '.join(given)}: only a model is asked so, and {chooses} is to choose here; "
-                f"valid: with --vlm {MODEL_FORMS}"
+                f"valid: with --vlm {MODEL_FORMS}, or replay:FILE"
             )
 
-    def _given(self) -> list[str]:
+    def given(self) -> list[str]:
         """The options for a model that were given, as they are typed."""
         names = [f.name for f in fields(self) if f.name != "selector"]
         return [f"--{name}" for name in names if getattr(self, name) is not None]

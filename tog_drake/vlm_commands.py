@@ -1,6 +1,5 @@
 """The commands about vision-language models: ``tog prompts`` and ``tog vlm ...``."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +8,7 @@ import typer
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    MODEL_FORMS,
     MODEL_HELP,
     JsonOption,
     ModelOption,
@@ -102,6 +102,8 @@ def check(
     from tog_drake.selectors.vlm.specification import read_specification, specification
 
     console = console_for(as_json)
+    if vlm.startswith("replay:"):
+        raise InputError(f"--vlm {vlm}: a file is no model to be checked; valid: {MODEL_FORMS}")
     model = read_specification(vlm, profile)
     found = find_profile(model.model, model.profile)
     client = Client(model, profile=found.name)
@@ -206,14 +208,9 @@ def export(
         cells, options, cassette=cassette, out=out, workers=workers, console=console
     )
     _say_exported(console, exported, cassette, out)
-    if not exported.questions and scenarios is None:
-        say(console, f"go on: tog run --vlm replay:{cassette}, with the same options")
-    elif not exported.questions:
-        settings = {"strategy": strategy, "rendering": rendering, "votes": votes}
-        given = {name: value for name, value in settings.items() if value is not None}
-        text = json.dumps({**given, "replay": str(cassette)})
-        say(console, "go on: tog eval with the same suite, --selectors vlm and --scenario-text")
-        say(console, f"'pipeline: {{selector: !Vlm {text}}}'")
+    if not exported.questions:
+        command = "run" if scenarios is None else "eval"
+        say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
 

@@ -19,7 +19,7 @@ PROVIDERS: dict[str, type[ModelConfig]] = {
 }
 VALID = (
     "openai:MODEL, openai:MODEL@URL (vLLM, Ollama, llama.cpp ...), gemini:MODEL, anthropic:MODEL, "
-    "molmo:MODEL@URL, qwen:MODEL@URL, replay:FILE"
+    "molmo:MODEL@URL, qwen:MODEL@URL; and replay:FILE where a cassette may answer"
 )
 # Servers that are taken for a provider, and the port each listens on.
 _SERVERS = {"ollama": 11434, "vllm": 8000, "sglang": 30000, "lmstudio": 1234}
