@@ -7,7 +7,8 @@ this order:
 
 1. the last JSON with a key for the choice;
 2. the last "Final answer:", which is final: earlier words do not count where it names no label;
-3. the last sentence, if it says "I choose 3" or "3 is the best"; or the label, if that is all.
+3. the last sentence, if it has a word of choosing, such as in "3 is the best", and none of doubt,
+   and its number counts nothing; or the label, if that is all.
 """
 
 import re
@@ -99,7 +100,7 @@ _DOUBT = re.compile(
     r"\b(?:no|none|cannot|but|unless|if|whether|when|or|would|could|might|may|perhaps|maybe|unsure"
     r"|worst|worse|bad|poor|wrong|fails?|unsuitable|reject\w*|discard\w*|exclud\w*|instead|rather"
     r"|although|though|however|example|format|form|asks?|asked|which|what|step|confidence|scores?"
-    r"|rating|count|error)\b",
+    r"|rating|count|error|says?|said)\b",
     re.IGNORECASE,
 )
 """Words by which a sentence takes back what it names, sets a condition or speaks of another thing;
@@ -113,53 +114,48 @@ _NOUN = (
     r"(?:grasp|gripper|hand|candidate|option|choice|image|picture|dot|mark|marker|number|label|disc"
     r"|contact|point|colou?r|index)\b"
 )
-# A noun follows a colour only: "1 grasp" is a count.
-_LABEL = (
-    rf"(?:the\b{_GAP})?(?:{_NOUN}{_GAP}){{0,2}}"
-    rf"(?:(\d{{1,9}})(?!\d)|([a-z]{{1,40}})\b(?:\s(?:one|{_NOUN}))?)"
+_LABEL = rf"(?:\d{{1,9}}|[a-z]{{1,40}}\b(?:\s(?:one|{_NOUN}))?)"
+_REASON = r"\W{0,3}(?:because|since|as|for)\b.*|\s?[,;:(–—-].*"
+_ALONE = re.compile(
+    rf"{_GAP}(?:so\b{_GAP})?(?:the\b{_GAP})?(?:{_NOUN}{_GAP}){{0,2}}{_LABEL}{_CLOSE}(?:{_REASON})?",
+    re.IGNORECASE | re.DOTALL,
 )
-_REASON = r"\W{0,3}(?:because|since)\b.*"
-_SO = rf"(?:(?:so|thus|therefore|hence|overall|finally|ok|okay|in conclusion)\b{_GAP}){{0,2}}"
-_I_CHOOSE = (
-    r"I(?:['’](?:d|ll)|\s(?:would|will))?(?:\stherefore)?"
-    r"\s(?:choose|chose|pick|select|take|recommend|prefer|(?:would\s)?go\swith)\b"
+"""Nothing but a label, with what it is one of and perhaps why. A noun follows a colour only: "1
+grasp" is a count."""
+_CHOOSES = re.compile(
+    r"\b(?:best|choose|chose|choosing|choice|pick|select\w{0,4}|recommend\w{0,6}|prefer\w{0,4}|take"
+    r"|use|go(?:ing)? with|suit\w{0,6}|correct|optimal|ideal|appropriate|answer)\b",
+    re.IGNORECASE,
 )
-_THE_BEST = (
-    rf"(?:the|my)\s(?:one\s|final\s)?(?:best|choice|pick|selection|recommendation)"
-    rf"(?:\s(?:one|{_NOUN}))?(?:\sof\sall)?\s(?:is|would\sbe)\b"
+_COUNT = re.compile(
+    r"\b(?:of|all|these|those|are)\s(?:the\s)?\d"
+    r"|\d\s(?:\w{1,20}\s)?(?:of\b|(?:grasp|gripper|hand|candidate|option|choice|image|picture"
+    r"|dot|mark|marker|number|disc|contact|point|colou?r|object|step)s?\b)",
+    re.IGNORECASE,
 )
-_IS_BEST = (
-    r"\sis\s(?:clearly\s)?(?:the\s(?:one\s)?)?(?:best|my\schoice)"
-    rf"(?:\s(?:one|{_NOUN}))?(?:\sof\sall)?"
-)
+"""A number that counts: "of 6 grasps", "4 grasps", "there are 4"."""
 
 
-def _form(pattern: str) -> re.Pattern[str]:
-    return re.compile(pattern, re.IGNORECASE | re.DOTALL)
+def _chosen_by(sentence: str, by_word: dict[str, str], *, told: bool = False) -> str | None:
+    """Returns the label that a sentence chooses; None where no label is in it.
 
-
-_ALONE = _form(rf"{_GAP}{_LABEL}{_CLOSE}(?:{_REASON})?")
-_AFTER_COLON = _form(rf"{_GAP}{_LABEL}(?:{_CLOSE}(?:{_REASON})?|\s?[,;:(–—-].*)")
-_CHOOSING = _form(
-    rf"{_GAP}{_SO}(?:(?:{_I_CHOOSE}|{_THE_BEST}){_GAP}{_LABEL}|{_LABEL}{_CLOSE}{_IS_BEST})"
-    rf"{_CLOSE}(?:{_REASON})?"
-)
-
-
-def _chosen_by(sentence: str, form: re.Pattern[str], by_word: dict[str, str]) -> str | None:
-    """Returns the label that a sentence chooses by its form; None where no label is in it.
+    Args:
+        sentence: to be read.
+        by_word: the labels.
+        told: whether it was announced as the choice, as by "Final answer:"; else its words must say
+            that it is one, or there must be nothing but the label.
 
     Raises:
-        Unanswered: as ``_label_in``; or unreadable, where it has a label and another form.
+        Unanswered: as ``_label_in``; or unreadable, where it has a label but does not choose it.
     """
     label = _label_in(sentence, by_word)
     if label is None:
         return None
-    match = form.fullmatch(sentence)
-    said = next(filter(None, match.groups()), "") if match else ""
-    chosen = by_word.get(str(int(said)) if said.isdigit() else said.lower())
+    alone = _ALONE.fullmatch(sentence) is not None
+    says_so = alone or told or _CHOOSES.search(sentence)
     doubted = "?" in sentence or _DOUBT.search(_POLITE.sub("", sentence))
-    if chosen != label or doubted:
+    counts = not alone and _COUNT.search(sentence)
+    if doubted or counts or not says_so:
         raise Unanswered("unreadable", f"{sentence[:80]!r} does not clearly choose {label}")
     return label
 
@@ -275,7 +271,7 @@ def _said_to_be_chosen(said: str, by_word: dict[str, str]) -> str:
     """Returns the label in what is told as the choice itself."""
     if not said or _CHOOSES_NONE.match(said):
         raise Unanswered("empty", "the model chooses none")
-    label = _chosen_by(said, _AFTER_COLON, by_word)
+    label = _chosen_by(said, by_word, told=True)
     if label is None:
         raise Unanswered("unreadable", f"the choice is {said[:80]!r}")
     return label
@@ -284,8 +280,7 @@ def _said_to_be_chosen(said: str, by_word: dict[str, str]) -> str:
 def _in_sentences(text: str, by_word: dict[str, str]) -> str:
     """Returns the label that free text chooses: in its last sentence, and no other before."""
     sentences = _sentences(text)
-    form = _CHOOSING if len(sentences) > 1 or _CHOOSING.fullmatch(text) else _ALONE
-    label = _chosen_by(sentences[-1], form, by_word)
+    label = _chosen_by(sentences[-1], by_word)
     if label is None:
         raise Unanswered("unreadable", f"no label is found in {text[-80:]!r}")
     if others := _choices_in(sentences[:-1], by_word) - {label}:
@@ -297,9 +292,9 @@ def _choices_in(sentences: list[str], by_word: dict[str, str]) -> set[str]:
     """Returns the labels that sentences choose."""
     chosen = set()
     for sentence in sentences:
-        if _CHOOSING.fullmatch(sentence):
+        if _CHOOSES.search(sentence):
             try:
-                chosen.add(_chosen_by(sentence, _CHOOSING, by_word))
+                chosen.add(_chosen_by(sentence, by_word))
             except Unanswered:
                 continue
     return {label for label in chosen if label is not None}
