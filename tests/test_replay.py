@@ -22,10 +22,10 @@ SCENE = bar_scene(n=19)
 NOWHERE = "http://127.0.0.1:9/v1"
 
 
-def select(*, url=NOWHERE, seed=3, task=TASK, **settings):
+def select(*, url=NOWHERE, seed=3, task=TASK, export=None, **settings):
     model = None if url is None else OpenAi(model="any", base_url=url)
     config = Vlm(**{"strategy": "cpsi", "rendering": "paper", "model": model, **settings})
-    selector = VlmSelector(config, Workspace(), seed=seed)
+    selector = VlmSelector(config, Workspace(), seed=seed, export=export)
     return selector.select(SCENE.view, cloud_of(SCENE.points), SCENE.candidates, task)
 
 

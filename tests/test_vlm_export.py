@@ -99,7 +99,7 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
 
     cells = []
 
-    def look_at(cell, options):
+    def look_at(cell, options, cassette):
         cells.append(cell)
         return _Looked(problem="no grasp") if cell.seed else _Looked()
 

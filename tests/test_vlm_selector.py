@@ -386,6 +386,7 @@ def test_a_scenario_says_strategy_and_model_by_tag():
     [
         ("!Vlm {model: !Gpt {model: x}}", r"unknown tag !Gpt; valid: !OpenAi, !Gemini"),
         ("!Vlm {strategies: cpg}", r"no field 'strategies' \(did you mean strategy\?\)"),
+        ("!Vlm {export: tape.jsonl}", r"no field 'export'"),
         ("!Vlm {votes: many}", r"votes must be a whole number"),
         ("!Vlm {model: gpt-6}", r"model must be one of !OpenAi, .*, not 'gpt-6'"),
     ],

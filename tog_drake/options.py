@@ -93,7 +93,6 @@ class SelectorOptions:
     fallback: str | None = None
     record: Path | None = None
     replay: Path | None = None
-    export: Path | None = None  # a cassette: what it has no answer to is to be asked elsewhere
 
     def apply(
         self, config: "PipelineConfig", *, fallback: str | None = None, asks: bool = True
@@ -152,8 +151,6 @@ class SelectorOptions:
         if self.record is not None:
             check_file(self.record, "--record")
             config.record, config.replay = str(self.record), None
-        if self.export is not None:
-            config.export, config.record, config.replay = str(self.export), None, None
 
     def _apply_model(self, config: "Vlm") -> Path | None:
         """Puts in place who is asked; returns the cassette to replay, if one is named."""

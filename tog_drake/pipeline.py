@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from pydrake.perception import PointCloud
@@ -209,8 +210,13 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
     return AntipodalProposer(config.proposer, config.workspace, seed)
 
 
-def make_selector(config: PipelineConfig, seed: int) -> Selector:
+def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:
     """Returns the selector that the scenario asks for.
+
+    Args:
+        config: of the pipeline.
+        seed: of everything random in the selector.
+        export: for a model: the cassette of questions to be asked elsewhere, see ``VlmSelector``.
 
     Raises:
         InputError: if a setting of it is out of bounds, or it is the oracle, which is no Selector:
@@ -227,7 +233,7 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
             k, _ = candidate_counts(config.candidates)
             if k is not None and config.selector.strategy in CROWDED:
                 check_count(k)
-            return VlmSelector(config.selector, config.workspace, seed=seed)
+            return VlmSelector(config.selector, config.workspace, seed=seed, export=export)
         case Oracle():
             raise InputError(
                 "selector oracle reads simulated part labels, and there are none here; "

@@ -201,9 +201,7 @@ def export(
             noise=noise,
             text=scenario_text,
         )
-    options = SelectorOptions(
-        "vlm", strategy, vlm, profile, rendering, votes, fallback="fail", export=cassette
-    )
+    options = SelectorOptions("vlm", strategy, vlm, profile, rendering, votes, fallback="fail")
     exported = export_questions(
         cells, options, cassette=cassette, out=out, workers=workers, console=console
     )

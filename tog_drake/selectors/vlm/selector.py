@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -52,19 +53,20 @@ class Vlm:
     deadline: float = 120.0  # [s] for all questions of a decision, retries and repairs included
     record: str | None = None  # a cassette: what is in it is not asked again, what is not is added
     replay: str | None = None  # a cassette: nothing is asked, what is not in it is an error
-    export: str | None = None  # a cassette: what is not in it is left to be asked elsewhere
 
 
 class VlmSelector:
     """Asks a model, and says what became of the question."""
 
-    def __init__(self, config: Vlm, workspace: Workspace, *, seed: int):
+    def __init__(self, config: Vlm, workspace: Workspace, *, seed: int, export: Path | None = None):
         """Prepares to ask; nothing is sent yet.
 
         Args:
             config: what to ask whom.
             workspace: for the geometric selector, should it have to step in.
             seed: of the order and the colours of the marks.
+            export: a cassette that takes the place of those of the config: nothing is sent, and
+                ``select`` raises QuestionPending where it has no answer.
 
         Raises:
             InputError: a field of the config is out of its bounds, or there is no model to ask.
@@ -73,7 +75,7 @@ class VlmSelector:
         self._config = config
         self._seed = seed
         self._geometric = GeometricSelector(Geometric(), workspace)
-        self._model, self._profile, self._client = _connect(config)
+        self._model, self._profile, self._client = _connect(config, export)
 
     def check_key(self) -> None:
         """Raises InputError where the model will be asked for sure, and its key is missing."""
@@ -175,12 +177,12 @@ class VlmSelector:
         )
 
 
-def _connect(config: Vlm) -> tuple[ModelConfig, Profile, Client]:
+def _connect(config: Vlm, export: Path | None) -> tuple[ModelConfig, Profile, Client]:
     """Returns whom to ask and by what; a cassette that is replayed names its model itself."""
-    files: dict[Mode, str | None] = {
+    files: dict[Mode, Path | str | None] = {
+        "export": export,
         "replay": config.replay,
         "record": config.record,
-        "export": config.export,
     }
     cassette = next((Cassette(file, mode) for mode, file in files.items() if file), None)
     model = config.model
@@ -216,9 +218,8 @@ def _check(config: Vlm) -> None:
         raise InputError(
             f"!Vlm: deadline: {config.deadline:g}; valid: above 0, at most {MAX_DEADLINE:g} s"
         )
-    files = [name for name in ("record", "replay", "export") if getattr(config, name) is not None]
-    if len(files) > 1:
-        raise InputError(f"!Vlm: {' and '.join(files)} are given; valid: one of them")
+    if config.record is not None and config.replay is not None:
+        raise InputError("!Vlm: record and replay are given; valid: one of them")
 
 
 def _one_of(field: str, given: str, valid: Iterable[str]) -> None:
