@@ -185,8 +185,8 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
         part=choice.part,
         reason=choice.reason,
         status=choice.status,
-        pixel=None if choice.pixel is None else [round(c, 2) for c in choice.pixel],
-        pointed={role: [round(c, 2) for c in pixel] for role, pixel in choice.pointed.items()},
+        pixel=None if choice.pixel is None else list(choice.pixel),
+        pointed={role: list(pixel) for role, pixel in choice.pointed.items()},
         score=float(choice.grasp.score[0]),
         width=float(choice.grasp.width[0]),
     )

@@ -18,6 +18,7 @@ class ExchangeRecord(TypedDict):
     text: str  # with "[image 1]" and so on for the images
     marks: dict[str, int]  # label -> row among the feasible grasps
     key: str  # of the question on a cassette
+    points: dict[str, list[float]]  # role -> [u, v] in the last image, wherever the answer points
     answer: str | None  # verbatim, cut after MAX_ANSWER characters; null: none came
     status: str
     message: str  # what is wrong with the answer
@@ -55,6 +56,7 @@ def exchange_records(decision: Decision) -> list[ExchangeRecord]:
             text=exchange.text,
             marks=dict(exchange.marks),
             key=exchange.key,
+            points={role: list(point) for role, point in exchange.points.items()},
             answer=None if exchange.answer is None else exchange.answer[:MAX_ANSWER],
             status=exchange.status,
             message=exchange.message,
