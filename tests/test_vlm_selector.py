@@ -451,3 +451,34 @@ def test_more_candidates_than_colours_are_refused_before_anything_is_rendered(st
         make_selector(crowd, seed=0)
     crowd.selector.strategy = "gmi"
     assert isinstance(make_selector(crowd, seed=0), VlmSelector)
+
+
+@pytest.mark.parametrize(
+    ("profile", "rendering", "strategy", "width", "refused"),
+    [
+        ("gpt", "paper", "cpg", 2049, True),
+        ("gpt", "paper", "avoid", 2049, True),
+        ("gpt", "paper", "cpg", 2048, False),
+        ("gpt", "marked", "cpg", 2049, False),
+        ("gpt", "paper", "cpsi", 2049, False),  # no pixels are told
+        ("gemini", "paper", "cpg", 2049, False),  # nor here
+    ],
+)
+def test_a_view_too_large_for_a_model_that_tells_pixels_is_refused_with_what_to_do(
+    profile, rendering, strategy, width, refused
+):
+    small = SCENE.view
+    wide = replace(
+        small,
+        rgb=np.pad(small.rgb, ((0, 0), (0, width - 320), (0, 0))),
+        depth=np.pad(small.depth, ((0, 0), (0, width - 320))),
+        intrinsics=replace(small.intrinsics, width=width),
+    )
+    with saying("nothing of use") as server:
+        model = OpenAi(model="any", base_url=server.base_url("openai"), profile=profile)
+        asking = config(server, strategy=strategy, rendering=rendering, model=model)
+        selector = VlmSelector(asking, Workspace(), seed=3)
+        words = r"2049×240 .* profile gpt .* up to 2048 .*--rendering marked"
+        with pytest.raises(InputError if refused else NoChoice, match=words if refused else None):
+            selector.select(wide, cloud_of(SCENE.points), SCENE.candidates, TASK)
+        assert (server.received == []) == refused

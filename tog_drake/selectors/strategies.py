@@ -97,6 +97,7 @@ STRATEGIES: dict[str, Strategy] = {
     "pivot": pivot,
     "avoid": avoid,
 }
+POINTING = ("cpg", "avoid")  # in these the model tells places in the picture
 CROWDED = ("gsi", "cpsi")
 """They mark all candidates in one picture, where colours must tell them apart."""
 PERMUTABLE = ("gsi", "cpsi", "gmi", "cpmi")

@@ -20,7 +20,7 @@ from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
 from tog_drake.selectors.scene import Nearest, Pick, Scene
-from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
+from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES
 from tog_drake.selectors.vlm.cassette import Cassette, Mode
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
@@ -29,7 +29,7 @@ from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.request import QuestionPending, Request
 from tog_drake.selectors.vlm.specification import ModelConfig, check_model
 from tog_drake.task import read_task
-from tog_drake.values import Candidates, Choice, Exchange, View, Workspace
+from tog_drake.values import Candidates, Choice, Exchange, Grasps, View, Workspace
 
 FALLBACKS = ("fail", "geometric")
 MAX_DEADLINE = 3600.0  # [s]
@@ -106,6 +106,7 @@ class VlmSelector:
             seed=self._seed,
             nearest="contact" if nearest == "contact" else "both",
         )
+        self._check_size(scene)
         dialogue = Dialogue(
             self._client,
             self._profile,
@@ -124,6 +125,17 @@ class VlmSelector:
             choice = choose(pick.index, view, candidates, pick.reason, worth=pick.worth)
             return replace(choice, exchanges=dialogue.exchanges, pointed=pick.pointed)
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
+
+    def _check_size(self, scene: Scene) -> None:
+        """Raises InputError where the model is to tell pixels of an image that it sees resized."""
+        size, most = scene.framing(Grasps.empty()).size, self._profile.max_side
+        if self._config.strategy in POINTING and most is not None and max(size) > most:
+            raise InputError(
+                f"the view is {size[0]}×{size[1]} pixels large, and models of the profile "
+                f"{self._profile.name} tell the pixels of images up to {most} on the long side: "
+                "use rendering: marked (--rendering marked), which is sent smaller, or a smaller "
+                "view"
+            )
 
     def _vote(self, scene: Scene, dialogue: Dialogue) -> Pick:
         """Returns the pick on which all votes agree."""
