@@ -488,6 +488,8 @@ BAD_MODELS = {
     "options alone": (("--strategy", "cpg"), ["--strategy", "--selectors"]),
     "no key": (("--vlm", "anthropic:claude-sonnet-5-5"), ["ANTHROPIC_API_KEY"]),
     "no cassette": (("--vlm", "replay:none.jsonl"), ["none.jsonl"]),
+    "no cassette to replay": (("--replay", "none.jsonl"), ["none.jsonl"]),
+    "deadline": (("--vlm", "openai:any@http://[::1]:9", "--deadline", "0"), ["deadline"]),
     "strategy": (("--vlm", "openai:any@http://[::1]:9", "--strategy", "x"), ["'x'", "gsi"]),
 }  # fmt: skip
 

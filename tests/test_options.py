@@ -51,6 +51,11 @@ def test_to_name_a_cassette_to_replay_is_to_choose_by_it_too(tmp_path):
     assert applied(replay=tape) == applied(vlm=f"replay:{tape}") == Vlm(replay=str(tape))
 
 
+def test_the_time_for_a_decision_can_be_limited():
+    assert applied(vlm=MODEL, deadline=7.5).deadline == 7.5
+    assert applied(scenario=Vlm(deadline=9.0), vlm=MODEL).deadline == 9.0
+
+
 def test_what_is_not_given_stays_as_the_scenario_has_it():
     of_scenario = Vlm(strategy="cpmi", model=OpenAi("any"), votes=2, fallback="fail", deadline=7.0)
     of_scenario.model.base_url = "http://127.0.0.1:9/v1"
@@ -94,6 +99,8 @@ BAD = {
     "profile of no model": (
         (*RUN, "--selector", "vlm", "--profile", "gemini"), ["--profile", "--vlm"]
     ),
+    "deadline": ((*WITH_MODEL, "--deadline", "0"), ["deadline", "above 0"]),
+    "deadline of another selector": ((*RUN, "--deadline", "5"), ["--deadline", "--vlm"]),
     "strategy": ((*WITH_MODEL, "--strategy", "gpsi"), ["'gpsi'", *STRATEGIES]),
     "rendering": ((*WITH_MODEL, "--rendering", "neon"), ["'neon'", "marked", "paper"]),
     "fallback": ((*WITH_MODEL, "--fallback", "guess"), ["'guess'", *FALLBACKS]),

@@ -6,7 +6,10 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from tog_drake.terminal import print_answers, print_stages, say
+from tog_drake.selectors.geometric import Geometric
+from tog_drake.selectors.vlm.openai import OpenAi
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.terminal import deciding, print_answers, print_stages, say
 
 
 def printed(record):
@@ -67,6 +70,15 @@ def test_what_became_of_the_question_is_not_taken_for_the_outcome(asked, line):
         line,
         "outcome: lifted",
     ]
+
+
+def test_one_is_told_whom_one_waits_for():
+    model = OpenAi(model="llava\x1b", base_url="http://gpu:8000/v1")
+    assert deciding(Vlm(model=model, deadline=30)) == (
+        "asking llava\\u001b at gpu:8000 (at most 30 s)"
+    )
+    assert deciding(Vlm(model=model, replay="c.jsonl")) == "deciding"
+    assert deciding(Geometric()) == "deciding"
 
 
 def test_of_a_long_answer_the_end_is_shown_where_the_choice_is():

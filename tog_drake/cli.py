@@ -13,6 +13,7 @@ from rich.table import Table
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    DeadlineOption,
     FallbackOption,
     JsonOption,
     KOption,
@@ -36,6 +37,7 @@ from tog_drake.options import (
 )
 from tog_drake.terminal import (
     console_for,
+    deciding,
     keep_drake_quiet,
     print_json,
     print_rates,
@@ -88,6 +90,7 @@ def run(
     fallback: FallbackOption = None,
     record: RecordOption = None,
     replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
@@ -113,13 +116,13 @@ def run(
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
     options = SelectorOptions(
-        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
     )
     loaded = _load(name, scenario_text, options, proposer, k, seed, fallback="geometric")
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None
-    with console.status("looking, deciding, moving ..."):
+    with console.status(f"looking, {deciding(loaded.pipeline.selector)}, moving ..."):
         episode = run_episode(
             loaded, name=name, task=task, target=_target(object_, scenario), meshcat=live
         )
@@ -190,6 +193,7 @@ def choose(
     fallback: FallbackOption = None,
     record: RecordOption = None,
     replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
@@ -212,13 +216,14 @@ def choose(
     check_folder(out)
     config = PipelineConfig()
     options = SelectorOptions(
-        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
     )
     options.apply(config, fallback="geometric")
     _override(config, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
-    decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
+    with console.status(f"{deciding(config.selector)} ..."):
+        decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
     episode = new_record(decision, config, task=task, seed=seed or 0)
     overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
@@ -239,7 +244,7 @@ def choose(
 def evaluate_(
     selectors: Annotated[
         str | None,
-        typer.Option(help="Comma-separated; by default top-score,oracle, and vlm with --vlm."),
+        typer.Option(help="Comma-separated; by default top-score,oracle, or vlm with --vlm."),
     ] = None,
     strategy: StrategyOption = None,
     vlm: ModelOption = None,
@@ -249,6 +254,7 @@ def evaluate_(
     fallback: FallbackOption = None,
     record: RecordOption = None,
     replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     scenarios: Annotated[
         str,
         typer.Option(
@@ -274,11 +280,11 @@ def evaluate_(
 
     console = console_for(as_json)
     check_folder(out)
-    chosen = names(selectors or ("top-score,oracle" if vlm is None else "vlm"))
+    chosen = names(selectors or ("top-score,oracle" if vlm is None and replay is None else "vlm"))
     for selector in chosen:
         valid(selector, SELECTORS, "selector")
     options = SelectorOptions(
-        None, strategy, vlm, profile, rendering, votes, fallback, record, replay
+        None, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
     )
     if "vlm" not in chosen and options.given():
         raise InputError(

@@ -49,7 +49,11 @@ SelectorOption = Annotated[
     str | None, typer.Option(help="geometric | top-score | random | oracle | vlm")
 ]
 StrategyOption = Annotated[
-    str | None, typer.Option(help="How a model is asked: gsi|cpsi|gmi|cpmi|cpg|pivot|avoid.")
+    str | None,
+    typer.Option(
+        help="How a model is asked: gsi (default) | cpsi | gmi | cpmi | cpg | pivot | avoid;"
+        " `tog prompts` explains them."
+    ),
 ]
 ModelOption = Annotated[
     str | None,
@@ -70,6 +74,9 @@ FallbackOption = Annotated[
         help="Who chooses where the answer is no use: geometric | fail."
         " By default: run, choose: geometric; eval: fail."
     ),
+]
+DeadlineOption = Annotated[
+    float | None, typer.Option(help="[s] for all questions to a model; by default 120.")
 ]
 RecordOption = Annotated[
     Path | None, typer.Option(help="File that keeps questions and answers; none is asked twice.")
@@ -93,6 +100,7 @@ class SelectorOptions:
     fallback: str | None = None
     record: Path | None = None
     replay: Path | None = None
+    deadline: float | None = None  # [s]
 
     def apply(
         self, config: "PipelineConfig", *, fallback: str | None = None, asks: bool = True
@@ -137,7 +145,7 @@ class SelectorOptions:
         return [f"--{name}" for name in names if getattr(self, name) is not None]
 
     def _apply_to(self, config: "Vlm") -> None:
-        for name in ("strategy", "rendering", "votes", "fallback"):
+        for name in ("strategy", "rendering", "votes", "fallback", "deadline"):
             if getattr(self, name) is not None:
                 setattr(config, name, getattr(self, name))
         replay = self._apply_model(config)

@@ -4,6 +4,7 @@ import json
 import logging
 import sys
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tog_drake.record import EpisodeRecord
+    from tog_drake.selectors.vlm.specification import ModelConfig
 
 LONGEST = 100  # characters of what a model says that are shown on a line
 
@@ -40,6 +42,21 @@ def say(console: Console, text: str) -> None:
     Control characters, which a model or a file may have put into it, become visible.
     """
     console.print(visible(text), soft_wrap=True)
+
+
+def asking(model: "ModelConfig", deadline: float) -> str:
+    """Whom one waits for, and how long at most [s]."""
+    host = urlsplit(model.base_url).netloc
+    return visible(f"asking {model.model} at {host} (at most {deadline:g} s)")
+
+
+def deciding(selector: object) -> str:
+    """What there is to wait for while the selector of this config decides."""
+    from tog_drake.selectors.vlm.selector import Vlm
+
+    if isinstance(selector, Vlm) and selector.model is not None and selector.replay is None:
+        return asking(selector.model, selector.deadline)
+    return "deciding"
 
 
 def print_json(as_json: bool, content: Any) -> None:

@@ -24,7 +24,7 @@ from tog_drake.options import (
     names,
     valid,
 )
-from tog_drake.terminal import console_for, print_json, say
+from tog_drake.terminal import asking, console_for, print_json, say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -68,9 +68,10 @@ def prompts(
 
     console = console_for(as_json)
     if name is None:
-        versions = {known: texts.load(known).version for known in texts.names()}
-        for version in versions.values():
-            say(console, version)
+        all_of_them = [texts.load(known) for known in texts.names()]
+        for prompt in all_of_them:
+            say(console, f"{prompt.version:<10} {prompt.about}".rstrip())
+        versions = dict(zip(texts.names(), (prompt.version for prompt in all_of_them), strict=True))
         print_json(as_json, versions)
         return
     prompt = texts.load(name)
@@ -107,7 +108,7 @@ def check(
     model = read_specification(vlm, profile)
     found = find_profile(model.model, model.profile)
     client = Client(model, profile=found.name)
-    with console.status("asking ..."):
+    with console.status(f"{asking(model, deadline)} ..."):
         report = check_model(
             client, found, max_tokens=model.max_tokens, seconds=deadline, seed=seed
         )
