@@ -10,7 +10,7 @@ from tog_drake.pinhole import project
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import plain
 from tog_drake.selectors.scene import Ask, Pick, Scene
-from tog_drake.selectors.vlm.question import Points, Question, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Points, Question, Unanswered
 from tog_drake.values import Array, Grasps
 
 MAX_MISS = 15.0
@@ -50,17 +50,23 @@ def _seen_points(
     the points in W that are seen there."""
     framing = scene.framing(Grasps.empty())  # the things alone: nothing is marked
     prompt = prompts.load(name)
+
+    def seen(answer: Answer) -> dict[str, tuple[Array, Array]]:
+        assert isinstance(answer, dict)
+        pixels = {role: framing.to_view(answer[role]) for role in roles}
+        return {role: (pixel, _seen_point(scene, pixel, role)) for role, pixel in pixels.items()}
+
     answer = ask(
         Question(
             prompt=prompt.version,
             parts=(plain(scene.view, framing), prompt.render(task=scene.task)),
             expects=Points(roles, framing.size),
+            check=seen,
         )
     )
-    assert isinstance(answer, dict)
-    pixels = {role: framing.to_view(answer[role]) for role in roles}
-    points = [_seen_point(scene, pixel, role) for role, pixel in pixels.items()]
-    return {role: (float(u), float(v)) for role, (u, v) in pixels.items()}, points
+    places = seen(answer)
+    pixels = {role: (float(u), float(v)) for role, ((u, v), _) in places.items()}
+    return pixels, [point for _, point in places.values()]
 
 
 def _seen_point(scene: Scene, pixel: Array, role: str) -> Array:

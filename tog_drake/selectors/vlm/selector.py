@@ -116,8 +116,6 @@ class VlmSelector:
         try:
             pick = self._vote(scene, dialogue)
         except Unanswered as error:
-            if error.status in ("off_image", "off_object"):
-                dialogue.blame(error)
             problem = NoChoice(str(error), status=error.status)
         except NoChoice as error:
             problem = error
