@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, Spoken, VlmServer, status
+from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, Spoken, VlmServer, plant_keys, status
 
 from tog_drake.drawing import encode_png
 from tog_drake.selectors.vlm import transport
@@ -49,9 +49,7 @@ JSON = st.recursive(
 
 @pytest.fixture(autouse=True)
 def keys(monkeypatch):
-    monkeypatch.delenv("GOOGLE_API_KEY", raising=False)
-    for variable in KEY_VARIABLES.values():
-        monkeypatch.setenv(variable, KEY)
+    plant_keys(monkeypatch)
 
 
 def png(image):

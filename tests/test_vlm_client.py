@@ -6,10 +6,10 @@ import time
 import traceback
 from email.utils import formatdate
 
-import numpy as np
 import pytest
 import vlm_server
-from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, VlmServer, says, status
+from test_vlm_apis import IMAGE, SCHEMA
+from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, VlmServer, plant_keys, says, status
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm import transport
@@ -18,13 +18,6 @@ from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.question import Message, Unanswered
 from tog_drake.selectors.vlm.specification import read_specification
 
-IMAGE = np.arange(8 * 12 * 3, dtype=np.uint8).reshape(8, 12, 3)
-SCHEMA = {
-    "type": "object",
-    "properties": {"choice": {"type": "string"}},
-    "required": ["choice"],
-    "additionalProperties": False,
-}
 MESSAGE = Message((IMAGE, "Which one?"), SCHEMA, 512, "test/1")
 ANSWER = '{"choice": "2"}'
 PATIENCE = 20.0  # [s] for what needs a moment: a busy machine may take its time
@@ -32,10 +25,8 @@ PATIENCE = 20.0  # [s] for what needs a moment: a busy machine may take its time
 
 @pytest.fixture(autouse=True)
 def environment(monkeypatch):
-    monkeypatch.delenv("GOOGLE_API_KEY", raising=False)
+    plant_keys(monkeypatch)
     monkeypatch.delenv("TOG_PRICES", raising=False)
-    for variable in KEY_VARIABLES.values():
-        monkeypatch.setenv(variable, KEY)
     monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
 
 

@@ -33,6 +33,13 @@ KEY_VARIABLES = {
 }
 
 
+def plant_keys(monkeypatch) -> None:
+    """Sets the key of every provider, and no other."""
+    monkeypatch.delenv("GOOGLE_API_KEY", raising=False)
+    for variable in KEY_VARIABLES.values():
+        monkeypatch.setenv(variable, KEY)
+
+
 @dataclass
 class Received:
     """A request that was in order, and one that was not."""

@@ -4,7 +4,7 @@ import base64
 import logging
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from tog_drake.drawing import encode_png
@@ -27,7 +27,8 @@ class Asked:
     key: str  # of the question, under which a cassette has it
     seconds: float  # latency, that of the recording where it was replayed
     cost: float | None  # [USD]; None where price or tokens are not known
-    replayed: str | None  # the cassette that had the reply; None: the model was asked
+    replayed: str | None = field(compare=False)
+    """The cassette that had the reply; None: the model was asked."""
 
 
 class Client:

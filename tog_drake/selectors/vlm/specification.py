@@ -1,6 +1,7 @@
 """Models in one line, as the command takes them: ``PROVIDER:MODEL`` or ``PROVIDER:MODEL@URL``."""
 
 import re
+from typing import get_args
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.anthropic import Anthropic
@@ -11,11 +12,7 @@ from tog_drake.selectors.vlm.openai import Molmo, OpenAi, Qwen
 ModelConfig = OpenAi | Gemini | Anthropic | Molmo | Qwen
 
 PROVIDERS: dict[str, type[ModelConfig]] = {
-    "openai": OpenAi,
-    "gemini": Gemini,
-    "anthropic": Anthropic,
-    "molmo": Molmo,
-    "qwen": Qwen,
+    kind.__name__.lower(): kind for kind in get_args(ModelConfig)
 }
 VALID = (
     "openai:MODEL, openai:MODEL@URL (vLLM, Ollama, llama.cpp ...), gemini:MODEL, anthropic:MODEL, "
