@@ -77,8 +77,7 @@ def export_questions(
         console: for the progress.
 
     Raises:
-        InputError: a cell or an option makes no sense, or ``out`` holds answers that were not
-            imported yet.
+        InputError: a cell or an option makes no sense, or ``out`` holds answers not yet imported.
     """
     tape = Cassette(cassette, "export")
     _selector(cell_scenario(cells[0]), options, cassette)  # to hear now what is wrong

@@ -47,13 +47,11 @@ def place_discs(
 
     Args:
         size: width and height of the picture [pixel].
-        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred. NaN does
-            not count, and what lies out of the picture only if all does: then the point of the
-            edge that is nearest to any. With NaN alone a disc names nothing, just its own place.
-        lines: (M, 2, 2) [pixel] what must be seen.
+        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred; see
+            ``_within`` for those that are NaN or out of the picture.
+        lines: (M, 2, 2) [pixel] what must be seen, ``thickness`` [pixel] wide.
         stems: (N, 2, 2) [pixel] lines that only the disc of the same row may hide, if any.
         things: (P, 2) [pixel] points that should be seen.
-        thickness: of the lines [pixel].
 
     Raises:
         InputError: there is no room for so many discs.
@@ -62,16 +60,13 @@ def place_discs(
     places = (STEP * cells).astype(np.float64)
     seen = _drawn(size, lines, thickness)
     on_things = _ON_THINGS * _share(_drawn(size, _dots(things), _THING_SIZE), cells)
-    stems = np.zeros((len(anchors), 2, 2)) * np.nan if stems is None else stems
+    stems = np.zeros((0, 2, 2)) if stems is None else stems
     free = np.ones(len(places), dtype=bool)
-    centers, targets = np.zeros((len(anchors), 2)), np.zeros((len(anchors), 2))
+    centers, targets = np.zeros((2, len(anchors), 2))
     for i, anchor in enumerate(anchors):
         if not free.any():
-            raise InputError(
-                f"{len(anchors)} marks do not fit into a picture of {size[0]}x{size[1]} pixels; "
-                f"{i} do: ask for fewer candidates (k)"
-            )
-        others = _drawn(size, np.delete(stems, i, axis=0), thickness)
+            raise _no_room(len(anchors), size, i)
+        others = _drawn(size, stems[np.arange(len(stems)) != i], thickness)
         distance, named = _nearest(places, _within(anchor, size))
         cost = np.where(free, distance + on_things, np.inf)
         best = _cheapest(cost, cells, places, named, seen=seen, others=others)
@@ -80,6 +75,13 @@ def place_discs(
         seen |= _drawn(size, np.stack([centers[i], targets[i]])[None], 1.0)
         seen |= _drawn(size, _dots(centers[i : i + 1]), 2 * RADIUS)
     return centers, targets
+
+
+def _no_room(count: int, size: tuple[int, int], most: int) -> InputError:
+    return InputError(
+        f"{count} marks do not fit into a picture of {size[0]}x{size[1]} pixels; {most} do: ask "
+        "for fewer candidates (k)"
+    )
 
 
 def _cells(size: tuple[int, int]) -> NDArray[np.int64]:
@@ -109,7 +111,11 @@ def _cheapest(
 
 
 def _within(anchor: Array, size: tuple[int, int]) -> Array:
-    """The points of ``anchor`` (A, 2) in the picture; if none is, the nearest of its edge."""
+    """Returns which points of ``anchor`` (A, 2) a disc may name: those in the picture.
+
+    If none is, the point of the picture's edge that is nearest to any of them. If all are NaN,
+    none: the disc then names its own place, and its leader has no length.
+    """
     edge = np.array(size) - 1.0
     inside = np.all((anchor >= 0) & (anchor <= edge), axis=1)  # False where NaN
     if inside.any():

@@ -134,12 +134,9 @@ def _ask_marked(
     rows, marks = _shuffled(scene, rows, separate=separate, round_=round_)
     labels = tuple(mark.label for mark in marks)
     prompt = prompts.load(name)
+    values = {"round": round_, "rounds": ROUNDS} if round_ else {}
     text = prompt.render(
-        task=scene.task,
-        rendering=scene.rendering,
-        labels=labels,
-        count=len(labels),
-        **({"round": round_, "rounds": ROUNDS} if round_ else {}),
+        task=scene.task, rendering=scene.rendering, labels=labels, count=len(labels), **values
     )
     label = ask(
         Question(

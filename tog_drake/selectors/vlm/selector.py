@@ -95,17 +95,7 @@ class VlmSelector:
         read_task(task)
         if len(candidates) == 0:
             raise NoGrasp("There is no feasible grasp to choose from.")
-        rendering: Rendering = "paper" if self._config.rendering == "paper" else "marked"
-        nearest = self._config.nearest or ("contact" if rendering == "paper" else "both")
-        scene = Scene(
-            view=view,
-            points=np.asarray(cloud.xyzs().T, dtype=np.float64),
-            candidates=candidates,
-            task=task,
-            rendering=rendering,
-            seed=self._seed,
-            nearest="contact" if nearest == "contact" else "both",
-        )
+        scene = self._scene(view, cloud, candidates, task)
         self._check_size(scene)
         dialogue = Dialogue(
             self._client,
@@ -123,6 +113,19 @@ class VlmSelector:
             choice = choose(pick.index, view, candidates, pick.reason, worth=pick.worth)
             return replace(choice, exchanges=dialogue.exchanges, pointed=pick.pointed)
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
+
+    def _scene(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Scene:
+        rendering: Rendering = "paper" if self._config.rendering == "paper" else "marked"
+        nearest = self._config.nearest or ("contact" if rendering == "paper" else "both")
+        return Scene(
+            view=view,
+            points=np.asarray(cloud.xyzs().T, dtype=np.float64),
+            candidates=candidates,
+            task=task,
+            rendering=rendering,
+            seed=self._seed,
+            nearest="contact" if nearest == "contact" else "both",
+        )
 
     def _check_size(self, scene: Scene) -> None:
         """Raises InputError where the model is to tell pixels of an image that it sees resized."""
