@@ -46,6 +46,11 @@ def test_it_says_what_is_wrong_with_an_answer_and_who_chose_instead():
     ]
 
 
+def test_of_a_failure_that_is_replayed_nothing_more_is_known():
+    lost = exchange(answer=None, replayed="c.jsonl", seconds=0, tokens=None, cost=None)
+    assert printed(vlm(lost)) == "model: gpt-9 did not answer (replayed from c.jsonl)\n"
+
+
 def test_a_replayed_answer_is_not_told_as_if_it_were_live():
     assert printed(vlm(exchange(replayed="c.jsonl"), exchange(replayed="c.jsonl", seconds=0))) == (
         'model: gpt-9 answered "2" '

@@ -252,9 +252,10 @@ def usage(
     took = ", ".join(said)
     if not cassettes:
         return took
+    back_then = f"; when asked {took}" if seconds or known else ""  # of a failure nothing is known
     n = sum(cassette is not None for cassette in replayed)
     some = f"{n} of {len(replayed)} " if n < len(replayed) else ""
-    return f"{some}replayed from {', '.join(cassettes)}; when asked {took}"
+    return f"{some}replayed from {', '.join(cassettes)}{back_then}"
 
 
 def save_record(path: Path, record: EpisodeRecord) -> None:
