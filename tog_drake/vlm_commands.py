@@ -29,6 +29,7 @@ from tog_drake.terminal import asking, console_for, print_json, say
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tog_drake.evaluation import Cell
     from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
@@ -173,9 +174,7 @@ def export(
 
     Only what the cassette has no answer to. Nothing is sent, and no key is needed.
     """
-    from tog_drake.evaluation import Cell, make_cells, scenario_names
-    from tog_drake.scenario import load_scenario
-    from tog_drake.task import read_task
+    from tog_drake.evaluation import make_cells, scenario_names
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
@@ -189,18 +188,11 @@ def export(
     if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
         raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
     if scenarios is None:
-        name, told = scenario or "Hammer", (task or "",)
-        read_task(told[0])
-        seed = load_scenario(name, scenario_text).random_seed if seed is None else seed
-        cells = [Cell(name, object_ or "", "vlm", seed, told, noise, scenario_text)]
+        cells = [_cell(task or "", scenario or "Hammer", object_, seed, noise, scenario_text)]
     else:
+        suite = scenario_names(names(scenarios))
         cells = make_cells(
-            scenario_names(names(scenarios)),
-            ["vlm"],
-            range(seeds),
-            tasks=names(tasks),
-            noise=noise,
-            text=scenario_text,
+            suite, ["vlm"], range(seeds), tasks=names(tasks), noise=noise, text=scenario_text
         )
     options = SelectorOptions("vlm", strategy, vlm, profile, rendering, votes, fallback="fail")
     exported = export_questions(
@@ -212,6 +204,20 @@ def export(
         say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
+
+
+def _cell(
+    task: str, scenario: str, object_: str | None, seed: int | None, noise: bool, text: str | None
+) -> "Cell":
+    """Returns the one episode that is asked for; raises InputError where it makes no sense."""
+    from tog_drake.evaluation import Cell
+    from tog_drake.scenario import load_scenario
+    from tog_drake.task import read_task
+
+    read_task(task)
+    if seed is None:
+        seed = load_scenario(scenario, text).random_seed
+    return Cell(scenario, object_ or "", "vlm", seed, (task,), noise, text)
 
 
 def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:
