@@ -45,9 +45,11 @@ _EXAMPLE = {  # what fills the places of a prompt when it is shown
     "rounds": 3,
     "problem": "the answer names none of the labels",
     "answer": "I would take the head.",
+    "question": "point",  # the last of the canary's
+    "color": "red",
 }
 _LABELS = {"marked": ("1", "2", "3"), "paper": ("red", "green", "blue")}
-_ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid")}  # of the points that these ask for
+_ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid"), "canary": ("disc",)}  # of their points
 _SEPARATE = ("gmi", "cpmi")  # an image each: there the labels are numbers in every rendering
 
 

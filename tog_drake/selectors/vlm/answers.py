@@ -13,6 +13,9 @@ from tog_drake.selectors.vlm.pointing import read_points, seen_size
 from tog_drake.selectors.vlm.profiles import Profile
 from tog_drake.selectors.vlm.question import Answer, Options, Points, Unanswered
 
+VERSION = "answer/1"
+"""Of what ``instruction`` and ``schema`` say; it goes up whenever any of it changes, the sentences
+in profiles.yaml included, since answers to other instructions are other answers."""
 MAX_LENGTH = 40_000  # characters of an answer
 MAX_REASONING = 2_000_000  # characters of an answer with the reasoning before it
 

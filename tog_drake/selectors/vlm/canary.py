@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tog_drake.drawing import CANDIDATE_COLORS
+from tog_drake.selectors import prompts
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
@@ -22,7 +23,6 @@ from tog_drake.selectors.vlm.profiles import PROFILES, Profile
 from tog_drake.selectors.vlm.question import Answer, Image, Options, Points, Question, Unanswered
 from tog_drake.values import Exchange
 
-PROMPT = "canary/1"
 WIDTH, HEIGHT = 896, 672  # [pixel] multiples of 224: no model's server resizes it
 RADIUS = 48  # [pixel] of a disc
 WITHIN = 20.0  # [pixel] a point that is farther from the centre is not accepted
@@ -149,15 +149,15 @@ def check_model(
     numbers, colors = Options(canary.numbers), Options(COLORS)
     point = Points(("disc",), (WIDTH, HEIGHT))
 
-    def ask(text: str, expects: Options | Points) -> Answer | None:
+    prompt = prompts.load("canary")
+
+    def ask(question: str, expects: Options | Points) -> Answer | None:
+        text = prompt.render(question=question, color=canary.target)
         with suppress(Unanswered):
-            return dialogue.ask(Question(PROMPT, (canary.image, text), expects))
+            return dialogue.ask(Question(prompt.version, (canary.image, text), expects))
         return None
 
-    number = ask(
-        "The image shows coloured discs. One of them has a number on it. Which number is it?",
-        numbers,
-    )
+    number = ask("number", numbers)
     if dialogue.exchanges[-1].status in _GONE:
         return Report((_reached(dialogue.exchanges[-1]),), dialogue.exchanges)
     findings = [
@@ -165,11 +165,9 @@ def check_model(
         _seen("number", number, canary.number, dialogue.exchanges[-1]),
         _structured(profile, numbers, dialogue.exchanges[-1]),
     ]
-    color = ask("Which colour has the disc with the number on it?", colors)
+    color = ask("colour", colors)
     findings.append(_seen("colour", color, canary.numbered, dialogue.exchanges[-1]))
-    pointed = ask(
-        f"Point to the centre of the {canary.target} disc. Return exactly one point.", point
-    )
+    pointed = ask("point", point)
     findings.append(
         _pointed(pointed, canary.pixel, point, profile, client.model, dialogue.exchanges[-1])
     )
