@@ -43,6 +43,7 @@ FAMILIES = {
 INK = 12  # [pixel] of one flat colour at least make a mark
 LEAST_PART = 50  # [pixel]
 CHANGED = 20  # of a channel, where a mark was drawn over the reference
+RIM = 8  # [pixel] around the flat colour of a mark
 GAP = 12  # [pixel] a line goes on after being crossed by others
 
 
@@ -126,10 +127,12 @@ def choose_mark(text: str, images: Sequence[Image], held: str, free: str) -> str
     clean = without_ink(images[0])
     if clean is images[0]:  # a reference: nothing is drawn on it
         images = images[1:]
+    elif len(images) > 2:  # what most of them show has no marks
+        clean = np.median(images, axis=0).astype(np.uint8)
     parts = find_parts(clean)
     fit: dict[str, tuple[float, float]] = {}
     for i, image in enumerate(images):
-        for color, ink in find_ink(image, drawn_over(image, clean)).items():
+        for color, ink in marks_on(image, clean).items():
             mark, disc = without_disc(ink)
             name = names[i] if names else color
             label = name if disc is None else read_number(image, ink, disc, labels)
@@ -145,14 +148,18 @@ def choose_mark(text: str, images: Sequence[Image], held: str, free: str) -> str
 # What is in a picture
 
 
-def drawn_over(image: Image, reference: Image) -> Mask:
-    """Returns where a picture differs from the one without marks."""
-    if image.shape != reference.shape:
+def marks_on(image: Image, clean: Image) -> dict[str, Mask]:
+    """Returns the flat colours in which a picture differs from the one without marks."""
+    if image.shape != clean.shape:
         raise CannotSee("The pictures with and without marks have different sizes.")
-    drawn = cv2.absdiff(image, reference).max(axis=2) > CHANGED
-    if drawn.mean() > 0.25:
+    drawn = cv2.absdiff(image, clean).max(axis=2) > CHANGED
+    inks = find_ink(image, drawn)
+    if not inks:
+        raise CannotSee("No mark is to be seen.")
+    stray = drawn & ~_grown(np.any(list(inks.values()), axis=0), RIM)
+    if stray.sum() > 0.1 * drawn.sum():
         raise CannotSee("The pictures with and without marks do not show the same.")
-    return drawn
+    return inks
 
 
 def find_parts(image: Image) -> dict[str, Mask]:
@@ -182,6 +189,8 @@ def find_ink(image: Image, drawn: Mask) -> dict[str, Mask]:
 
     A drawn line has one and the same value everywhere but at its rims.
     """
+    if not drawn.any():
+        return {}
     pixels = image[drawn]
     h, s, v = (channel.ravel() for channel in _hsv(pixels[:, None]))
     value = pixels.astype(np.int32) @ [65536, 256, 1]

@@ -1,6 +1,7 @@
 """Whatever a model says is read as one of the labels, as a pixel, or not at all."""
 
 import json
+import re
 from dataclasses import dataclass
 from typing import get_args
 
@@ -46,7 +47,7 @@ def _read(text, expects=NUMBERS, profile="pixels"):
         ("Final answer is: grasp 3. It lifts better than 1 does.", "3"),
         ("My answer is 3.", "3"),
         ("I compared 1, 2 and 4. The best of all is 3.", "3"),
-        ("I choose candidate-3. The hammer is 30 cm long, 0.95 sure, 80% or so.", "3"),
+        ("The hammer is 30 cm long, 0.95 sure, 80% or so. I choose candidate-3.", "3"),
         ("<think>1? 2! {'choice': 4}</think>\n3", "3"),
         ("no opening tag, so 1... </think> 3", "3"),
         ("<THINKING>1</THINKING>3", "3"),
@@ -133,6 +134,150 @@ def test_what_is_no_label_for_sure_is_none(said, status):
     assert _read(said) == status
 
 
+SIX = Options(("1", "2", "3", "4", "5", "6"))
+
+
+@pytest.mark.parametrize(
+    ("said", "status"),
+    [
+        ("Grasp 3 is nearest to the head.\nFinal answer: none of them", "empty"),
+        ("Grasp 3 is nearest to the head.\nFinal answer: N/A", "empty"),
+        ("Final answer: 3\nFinal answer:", "empty"),
+        ("Grasp 3 is best. My answer is: neither.", "empty"),
+        ('{"choice": "none of them, not even 3"}', "empty"),
+        ("I choose 3.\nFinal answer: the handle", "unreadable"),
+        ("I choose 3.\nFinal answer: 12", "out_of_range"),
+        ("Final answer: -3", "out_of_range"),
+        ("Of 6 grasps I choose the fourth.", "unreadable"),
+        ("Grasp 2 is best. There are 4 grasps on the head.", "unreadable"),
+        ("I choose 3. Confidence: 5", "unreadable"),
+        ("I choose 3.\n5", "ambiguous"),
+        ("Anything but 4.", "unreadable"),
+        ("Final answer: anything but 4.", "unreadable"),
+        ("I would reject grasp 4.", "unreadable"),
+        ("Grasp 5 is worst.", "unreadable"),
+        ("Final answer: 5 is the worst", "unreadable"),
+        ("Final answer: 5 - that one is bad", "unreadable"),
+        ("Please resend image 2.", "unreadable"),
+        ("Step 1: look. Step 2: choose.", "unreadable"),
+        ("Error 5", "unreadable"),
+        ("Which of the 6 grasps do you mean?", "unreadable"),
+        ("Do you mean 3?", "unreadable"),
+        ("3?", "unreadable"),
+        ("Final answer: 3?", "unreadable"),
+        ("I choose 3 if it may be scratched.", "unreadable"),
+        ("I choose 1 grasp.", "unreadable"),
+        ("4 grasps", "unreadable"),
+        ("You want me to end with the example final answer: 3", "unreadable"),
+        ("I would be lying if I said that the answer is 3", "unreadable"),
+        ("I do not think that the answer is 3", "unreadable"),
+        ("Final answer: 3\nWait, none of them holds the handle.", "ambiguous"),
+        ("Final answer: 3. On second thought I take another.", "ambiguous"),
+        ("Final answer: 3. No: I choose 1.", "ambiguous"),
+        ("Final answer: 3. For the handle, I choose 1.\nI choose 1.", "ambiguous"),
+        ('{"choice": "3"} No, wait: it slips.', "ambiguous"),
+        ('{"choice": "3"}\nI choose 1.', "ambiguous"),
+        ('{"choice": "3"}\nFinal answer: none', "empty"),
+        ("I choose 3.\nI choose 1.", "ambiguous"),
+        ('{"grasp": 3, "suitable": false}', "unreadable"),
+        ('{"number": 3, "unit": "grasps"}', "unreadable"),
+        ('{"choice": "anything but 3"}', "unreadable"),
+        ('{"reasoning": "I cannot see the image.", "choice": "3"}', "refused"),
+        ("I don't have access to the images.\nFinal answer: 3", "refused"),
+    ],
+)
+def test_a_number_that_is_rejected_counted_or_asked_about_is_not_chosen(said, status):
+    assert _read(said, SIX) == status
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "Grasp 3 is best.",
+        "I think grasp 3 is best.",
+        "The best grasp for this task is number 3.",
+        "Based on the image, the most suitable grasp is 3.",
+        "Grasp 3 best fits the task.",
+        "The robot should use grasp 3.",
+        "Candidate 3 is the best option for handing over.",
+        "Grasp 2 slips. So 3.",
+        "Best: 3",
+        "The head must stay free.\n\nBest grasp: 3",
+        "The handle is free.\n\n3",
+        "3 - the handle",
+        "Therefore, I'd pick grasp 3.",
+        "I would choose number 3, because its fingers close on the handle.",
+        "I will go with **3**",
+        "2 slips. My choice is [3].",
+        "Grasp **3** is the best one.",
+        "$\\boxed{3}$",
+        "```\n3\n```",
+        "Grasp 2 slips, so the answer is 3, on the handle.",
+        "Final answer: 3 (the yellow handle)\nConfidence: high",
+        "### Final Answer\n\n3",
+        "Final answer:\n- 3",
+        '{"reasoning": "on the handle", "grasp": 3}',
+        '{"choice": "3"}\nFinal answer: 3. It does not touch the head.',
+    ],
+)
+def test_a_choice_in_other_words_is_one(said):
+    assert _read(said, SIX) == "3"
+
+
+PROSE = (
+    "Grasp {} is at the head.", "There are {} grasps.", "I would reject grasp {}.",
+    "Anything but {}.", "Step {}: look.", "Confidence: {}", "Grasp {} is worst.", "Error {}",
+    "Would you choose {}?", "Image {} is blurred.", "Of {} grasps I choose the first.",
+    "Grasps 1 to {}:", "Choose which of {}?", "If it were cold, I choose {}.", "Not {}.",
+    "The least bad is {}.", "It could be {}.", "{} of 6", "Nobody says that {} is the best.",
+    "The head is not on {}", "Please resend image {}.", "\u201cI choose {}\u201d, you say.",
+)  # fmt: skip
+"""Sentences, and lines between others, that hold a number and choose nothing."""
+SENTENCES = st.builds(str.format, st.sampled_from(PROSE), st.integers(1, 6))
+TALK = st.lists(SENTENCES, min_size=2, max_size=5)
+
+
+@given(said=TALK, between=st.sampled_from([" ", "\n", "\n\n"]))
+def test_talk_about_grasps_chooses_none(said, between):
+    assert _read(between.join(said), SIX) in get_args(AnswerStatus)
+
+
+@given(said=TALK, label=st.sampled_from(SIX.labels))
+def test_a_final_answer_counts_whatever_was_said_before(said, label):
+    assert _read("\n".join([*said, f"Final answer: {label}"]), SIX) == label
+
+
+@given(said=TALK, none=st.sampled_from(["none", "N/A", "", "none of the 6", "?", "the handle"]))
+def test_a_final_answer_without_a_label_is_none_whatever_was_said_before(said, none):
+    said = ["Final answer: 3", "I choose 3.", *said, f"Final answer: {none}"]
+    assert _read("\n".join(said), SIX) in ("empty", "unreadable", "out_of_range")
+
+
+EXPLICIT = r"""(?ix)["']?(?:choice|answer|best|selected|grasp|number|candidate|label|id)["']?\s*:
+    | answer\W+is | final\s+answer | \b(?:choose|pick|take|best|choice)\b"""
+
+
+WORDS = (
+    "1", "2", "3", "7", "-3", "grasp", "grasps", "the", "a", "of", "is", "best", "worst", "I",
+    "choose", "reject", "take", "pick", "not", "none", "all", "there", "are", "but", "if", "final",
+    "answer", "answer:", "Final", "is:", ".", "?", "!", ",", "\n", "(", ")", "{", "choice", "step",
+    "or", "because", "since", "image", "confidence", "my", "first", "wait", "I choose",
+    "Final answer:", "The best is", "\nMy answer is",
+)  # fmt: skip
+
+
+@given(words=st.lists(st.sampled_from(WORDS), min_size=1, max_size=9))
+def test_what_is_read_from_any_words_was_said_to_be_chosen(words):
+    text = " ".join(words)
+    answer = _read(text, SIX)
+    if answer in SIX.labels:
+        assert answer in words
+        bare = {w for w in words if w.isalnum()} <= {answer, "grasp", "the", "image", "choice"}
+        assert bare or re.search(EXPLICIT, text) or words[0] in (answer, "grasp", "the", "image")
+        ends = [i for i, w in enumerate(words) if w == answer]
+        assert not {"reject", "not", "worst", "none", "but", "if", "?"} & set(words[ends[-1] + 1 :])
+
+
 def test_long_reasoning_does_not_make_an_answer_too_long():
     assert _read("<think>" + "1 or 2? " * (MAX_LENGTH // 4) + "</think>3") == "3"
 
@@ -216,6 +361,21 @@ def test_qwen_may_write_tags_in_pixels_of_the_image_that_it_sees():
 )
 def test_what_is_no_point_for_sure_is_none(profile, said, status):
     assert _read(said, ONE, profile) == status
+
+
+@pytest.mark.parametrize(
+    "label",
+    ["do not grasp here", "avoid", "no suitable place", "don't touch", "grasp: not here", "not",
+     "keep off", "Grasp (avoid)", "do_not_grasp"],
+)  # fmt: skip
+@pytest.mark.parametrize("expects", [ONE, TWO], ids=["one", "two"])
+def test_a_label_that_speaks_against_a_place_does_not_make_it_the_one_to_grasp(label, expects):
+    said = json.dumps([{"point": [500, 250], "label": label}, {"point": [9, 9], "label": "avoid"}])
+    assert _read(said, expects, "gemini") == "ambiguous"
+    if expects is ONE:
+        assert _read(json.dumps({label: [500, 250]}), ONE, "gemini") == "ambiguous"
+        said = f'<points coords="1 1 250 500">{label}</points>'
+        assert _read(said, ONE, "molmo2") == "ambiguous"
 
 
 GRASP, AVOID = (159.5, 239.5), (319.5, 119.5)

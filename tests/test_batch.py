@@ -17,7 +17,7 @@ from tog_drake.selectors.vlm.batch_answers import import_answers, read_answers
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.gemini import Gemini
-from tog_drake.selectors.vlm.openai import OpenAi
+from tog_drake.selectors.vlm.openai import OpenAi, Qwen
 from tog_drake.selectors.vlm.question import Message
 from tog_drake.selectors.vlm.request import QuestionPending, Request, pixel_hash
 from tog_drake.selectors.vlm.specification import specification
@@ -96,6 +96,44 @@ def test_a_batch_file_holds_each_question_whole_in_the_shape_of_its_provider(pro
     decoded = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
     np.testing.assert_array_equal(decoded, IMAGE)
     assert how_to_send(questions[0])
+
+
+def test_an_export_takes_away_its_own_earlier_batches_and_no_other_file(tmp_path):
+    mine = ["batch-1-results.jsonl", "batch-notes.json", "batch-output.jsonl", "batch-01.json"]
+    for name in (*mine, "batch-1.jsonl", "batch-2.jsonl", "batch-3.json"):
+        (tmp_path / name).write_text("mine")
+    exported(tmp_path, request())
+    assert {path.name for path in tmp_path.glob("batch-*")} == {*mine, "batch-1.jsonl"}
+    assert all((tmp_path / name).read_text() == "mine" for name in mine)
+
+
+def test_an_answer_is_read_for_a_model_whose_profile_had_to_be_named(cassette, tmp_path):
+    api = Qwen("my-own", "http://127.0.0.1:9/v1", "qwen3-vl")
+    question = Request.make(api, message(), model=specification(api), profile="qwen3-vl")
+    cassette.add_pending(question)
+    file = write(tmp_path / "a.jsonl", {"custom_id": custom_id(question.key), "answer": "2"})
+    imported = import_answers(cassette, read_answers(file))
+    assert (imported.added, imported.problems) == (1, [])
+
+
+def test_an_answer_by_hand_is_corrected_where_that_is_asked_for(cassette, tmp_path):
+    cassette.add_pending(request())
+    name = custom_id(request().key)
+    for answer in ("1", "2"):
+        file = write(tmp_path / f"{answer}.jsonl", {"custom_id": name, "answer": answer})
+        imported = import_answers(cassette, read_answers(file))
+    assert (imported.added, imported.replaced) == (0, 0)
+    assert "another answer, which stays; --replace" in imported.problems[0]
+    imported = import_answers(cassette, read_answers(file), replace_by_hand=True)
+    assert (imported.added, imported.replaced, imported.problems) == (0, 1, [])
+    asked = Client(
+        APIS["openai"], profile="pixels", cassette=Cassette(cassette.path, "replay")
+    ).ask(message(), 0.0)
+    assert asked.reply.text == "2"
+    file = write(tmp_path / "b.jsonl", result("openai", name, "3"))  # no person's correction
+    imported = import_answers(cassette, read_answers(file), replace_by_hand=True)
+    assert "which stays" in imported.problems[0]
+    assert imported.replaced == 0
 
 
 def test_a_batch_of_gemini_goes_without_the_schema_that_it_mishandles():

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from command import refused, tog
-from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, html, status
+from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, html, says, status
 
 from tog_drake.drawing import CANDIDATE_COLORS
 from tog_drake.selectors.vlm.canary import HEIGHT, WIDTH, draw_canary, right_profiles
@@ -104,7 +104,7 @@ def test_an_answer_is_right_in_its_own_convention_alone(told, used):
     for seed in range(2):
         truth = draw_canary(seed)
         text = TOLD[told](*truth.pixel).replace("%", "")
-        right = right_profiles(text, point, truth.pixel)
+        right = right_profiles(text, point, truth.pixel, "")
         assert told in right
         assert (used in right) == (used == told or {used, told} <= pixels), (right, text)
 
@@ -112,10 +112,10 @@ def test_an_answer_is_right_in_its_own_convention_alone(told, used):
 @pytest.mark.parametrize(
     ("told", "used", "right"),
     [
-        ("gemini", "qwen3-vl", "gemini or gemma"),  # transposed
-        ("qwen3-vl", "gemini", "qwen2-vl or qwen3-vl"),
-        ("qwen3-vl", "pixels", "qwen2-vl or qwen3-vl"),  # another scale
-        ("gpt", "qwen3-vl", "robobrain-2.0 or qwen2.5-vl"),
+        ("gemini", "qwen3-vl", "gemini (gemma"),  # transposed
+        ("qwen3-vl", "gemini", "qwen2-vl (qwen3-vl"),
+        ("qwen3-vl", "pixels", "qwen2-vl (qwen3-vl"),  # another scale
+        ("gpt", "qwen3-vl", "pixels (robobrain-2.0, qwen2.5-vl"),
         ("molmo2", "molmo", "molmo2"),
     ],
 )
@@ -126,8 +126,28 @@ def test_a_wrong_profile_is_found_and_the_right_ones_named(told, used, right):
     assert found["sees the number"][0] is found["sees the colour"][0] is True
     ok, said = found["points within 20 pixels"]
     assert not ok
-    assert f"the same answer is right if it is read as {right}" in said
-    assert f"try --profile {right.split()[0]}" in said
+    assert f"the same answer is right if it is read as {right.split()[0]}" in said
+    assert f"try --profile {right}" in said
+    assert ("equal for pointing)" in said) == ("(" in right)
+
+
+def test_a_relative_of_the_model_is_proposed_first():
+    text = '{"points": [{"point": [250, 500], "label": "disc"}]}'
+    sought = Points(("disc",), (1000, 1000)), (250.0, 500.0)
+    named = {
+        model: right_profiles(text, *sought, model)[0] for model in ("my-qwen", "gpt-x", "llava")
+    }
+    assert named == {"my-qwen": "qwen2.5-vl", "gpt-x": "gpt-4", "llava": "pixels"}
+
+
+def test_after_a_refusal_nothing_is_said_of_what_was_not_tested():
+    with VlmServer(seeing()) as server:
+        server.misbehave(says(text=None, refusal="No."), always=True)
+        done, found = check(server)
+    assert done.status == 1
+    assert found["structured output"] == (False, "not tested: refused")
+    assert found["points within 20 pixels"][1].startswith("refused: ")
+    assert "profile reads" not in found["points within 20 pixels"][1]
 
 
 def test_a_transposed_point_that_fits_no_profile_is_said_so():
@@ -180,7 +200,7 @@ def test_a_server_that_does_not_answer_is_said_once_and_in_time(mishap, said):
         server.misbehave(mishap, always=True)
         start = time.monotonic()
         done, found = check(server, "--deadline", "0.3")
-        assert time.monotonic() - start < 2.0
+        assert time.monotonic() - start < 20.0  # no measure of speed: it hangs for good otherwise
     assert done.status == 1
     assert list(found) == ["reachable"]
     assert found["reachable"][0] is False
@@ -199,4 +219,6 @@ def test_no_key_and_an_unknown_model_are_said_before_anything_is_sent(monkeypatc
     monkeypatch.delenv("ANTHROPIC_API_KEY")
     refused(tog("vlm", "check", "--vlm", "anthropic:claude-sonnet-5-5"), "ANTHROPIC_API_KEY")
     refused(tog("vlm", "check", "--vlm", "openai:m@http://127.0.0.1:9/v1"), "'m'", *PROFILES)
-    refused(tog("vlm", "check", "--vlm", "replay:x.jsonl"), "replay:x.jsonl", "openai:MODEL")
+    replayed = tog("vlm", "check", "--vlm", "replay:x.jsonl")
+    refused(replayed, "replay:x.jsonl", "openai:MODEL")
+    assert "replay" not in replayed.err.split("valid:")[1]

@@ -7,6 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,7 +17,7 @@ from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.cassette import Cassette, NotRecorded
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.question import Message, Unanswered
-from tog_drake.selectors.vlm.recorded import MAX_LINE, read_entry
+from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry
 from tog_drake.selectors.vlm.request import (
     QuestionPending,
     Request,
@@ -35,6 +36,8 @@ class Plain:
     model: str = "any"
     base_url: str = "http://127.0.0.1:9/v1"
     provider: str = "openai"
+    max_tokens: int = 4096
+    effort: str | None = None
 
     def path(self):
         return "/v1/chat/completions"
@@ -44,10 +47,14 @@ class Plain:
         return {"model": self.model, "messages": content}
 
 
-def request(text="which?", *, image=IMAGE, repeat=1, api=None):
+def request(text="which?", *, image=IMAGE, repeat=1, api=None, server="here"):
     message = Message((image, text), None, 100, prompt="gsi/1")
     return Request.make(
-        api or Plain(), message, model="openai:any@http://here/v1", profile="pixels", repeat=repeat
+        api or Plain(),
+        message,
+        model=f"openai:any@http://{server}/v1",
+        profile="pixels",
+        repeat=repeat,
     )
 
 
@@ -66,6 +73,42 @@ def test_what_was_recorded_is_replayed(path):
     assert (found.response, found.seconds, found.prompt) == (said("2"), 1.25, "gsi/1")
     model = OpenAi("any", "http://here/v1", "pixels")
     assert Cassette(path, "replay").model() == model
+
+
+def test_the_model_of_a_cassette_has_the_settings_on_which_its_keys_depend(path):
+    asked = OpenAi("any", "http://here/v1", "pixels", max_tokens=777, effort="low")
+    Cassette(path, "record").add(request(api=asked), said("2"), seconds=0)
+    model = Cassette(path, "replay").model()
+    assert model == asked
+    assert Cassette(path, "replay").lookup(request(api=model)).response == said("2")
+
+
+def test_the_answer_of_one_server_is_not_recorded_as_that_of_another(path):
+    Cassette(path, "record").add(request(), said("2"), seconds=0)
+    with pytest.raises(InputError, match=r"http://here/v1 .*http://there/v1") as caught:
+        Cassette(path, "record").lookup(request(server="there"))
+    assert "--record" in str(caught.value)
+    assert Cassette(path, "replay").lookup(request(server="there")).response == said("2")
+
+
+def test_a_miss_names_another_opencv_where_it_drew_the_images(path, monkeypatch):
+    Cassette(path, "record").add(request(), said("2"), seconds=0)
+    with pytest.raises(NotRecorded) as caught:
+        Cassette(path, "replay").lookup(request("another"))
+    assert "OpenCV" not in str(caught.value)
+    was = cv2.__version__
+    monkeypatch.setattr(cv2, "__version__", "99.1.0")
+    with pytest.raises(NotRecorded, match=f"OpenCV {was}; here is 99.1.0"):
+        Cassette(path, "replay").lookup(request("another"))
+
+
+def test_an_answer_by_hand_can_be_corrected_by_hand_alone(path):
+    cassette = Cassette(path, "export")
+    cassette.add_pending(request())
+    (entry,) = cassette.questions
+    for text, source, stays in [("1", "hand", "1"), ("9", "batch", "1"), ("2", "hand", "2")]:
+        cassette.enter(replace(entry, response=said(text), source=source))
+        assert Cassette(path, "replay").lookup(request()).response == said(stays)
 
 
 def test_a_line_has_the_shape_of_a_batch_file_and_no_image_in_it(path):
@@ -138,7 +181,7 @@ def test_in_export_an_unanswered_question_is_raised_with_all_that_sends_it(path)
 
 def test_two_models_in_one_cassette_must_be_told_apart(path):
     cassette = Cassette(path, "record")
-    with pytest.raises(InputError, match=r"0 models.*--record"):
+    with pytest.raises(InputError, match=r"is empty.*--record"):
         cassette.model()
     cassette.add(request(), said("2"), seconds=0)
     cassette.add(replace(request("b"), model="gemini:x"), said("2"), seconds=0)
@@ -203,11 +246,25 @@ def test_a_line_that_a_killed_process_left_is_left_out_and_said(path, caplog):
     path.write_bytes(whole + whole[:-20])
     with caplog.at_level(logging.WARNING):
         cassette = Cassette(path, "record")
-    assert "line 2 is torn" in caplog.text
+        Cassette(path, "replay")  # as where options are tried before the run
+    assert caplog.text.count("line 2 is torn") == 1
     assert cassette.lookup(request()).response == said("2")
     cassette.add(request("next"), said("3"), seconds=0)
     assert len(Cassette(path, "replay").questions) == 2
     assert len(path.read_bytes().splitlines()) == 2
+
+
+def test_a_miss_says_what_the_cassette_holds(path):
+    path.write_text("")
+    with pytest.raises(NotRecorded, match=r"is empty.*--record"):
+        Cassette(path, "replay").lookup(request())
+    cassette = Cassette(path, "record")
+    for n in range(6):
+        cassette.enter(replace(Recorded.of(request(f"first {n}")), model=f"openai:m{n}"))
+    with pytest.raises(NotRecorded) as miss:
+        Cassette(path, "replay").lookup(request("second"))
+    held = "It holds gsi/1 of openai:m0, gsi/1 of openai:m1, gsi/1 of openai:m2, gsi/1 of openai:m3"
+    assert f"{held} and 2 more" in str(miss.value)
 
 
 def test_a_whole_line_without_its_newline_is_kept(path, caplog):
@@ -294,7 +351,16 @@ def test_no_value_of_a_field_raises_anything_but_an_input_error(field, value):
         "body": {},
         "response": None,
         "error": None,
-        "tog": {"model": "", "profile": "", "prompt": "", "source": "hand", "seconds": 0},
+        "tog": {
+            "model": "",
+            "profile": "",
+            "max_tokens": 1,
+            "effort": None,
+            "prompt": "",
+            "source": "hand",
+            "seconds": 0,
+            "opencv": "4.10.0",
+        },
     }
     read_entry(json.dumps(line).encode(), "here")
     try:

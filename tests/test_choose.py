@@ -65,7 +65,9 @@ def test_it_prints_one_json_object_and_writes_grasps_overlay_and_record(chosen):
     done, out = chosen
     assert done.status == 0, done.err
     record = json.loads(done.out, parse_constant=pytest.fail)
-    assert {path.name for path in out.iterdir()} == {"grasps.json", "overlay.png", "episode.json"}
+    assert {path.name for path in out.iterdir()} == {
+        "grasps.json", "overlay.png", "episode.json", "report.html"
+    }  # fmt: skip
     assert json.loads((out / "episode.json").read_text(encoding="utf-8")) == record
     assert record["schema"] == SCHEMA
     assert record["outcome"] == "chosen"

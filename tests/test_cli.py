@@ -389,6 +389,16 @@ def test_show_serves_the_scene_on_this_machine_until_ctrl_c(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_diagram_needs_no_key_of_the_model_in_it(monkeypatch, tmp_path):
+    for variable in ("GOOGLE_API_KEY", "GEMINI_API_KEY"):
+        monkeypatch.delenv(variable, raising=False)
+    text = "pipeline: {selector: !Vlm {model: !Gemini {model: gemini-3.8-flash}}}"
+    done = tog("diagram", "Hammer", "--scenario-text", text, "--out", tmp_path / "a.svg")
+    assert done.status == 0, done
+    done = tog("diagram", "Hammer", "--vlm", "gemini:gemini-3.8-flash", "--out", tmp_path / "b.svg")
+    assert done.status == 0, done
+
+
 def test_diagram_writes_a_picture(tmp_path):
     done = tog("diagram", "Hammer", "--selector", "oracle", "--out", tmp_path / "a" / "h.svg")
     assert (done.status, done.err) == (0, "")
@@ -470,6 +480,79 @@ def test_groups_stand_for_all_single_objects_and_all_clutter():
 def test_eval_refuses_an_unknown_kind_of_task(tmp_path):
     done = tog("eval", "--scenarios", "Mug", "--tasks", "juggle", "--out", tmp_path / "e")
     refused(done, "juggle", "use, handover, part")
+
+
+BAD_MODELS = {
+    "no model": (("--selectors", "vlm"), ["no model", "--vlm"]),
+    "no vlm": (("--selectors", "random", "--vlm", "openai:any"), ["--vlm", "--selectors"]),
+    "options alone": (("--strategy", "cpg"), ["--strategy", "--selectors"]),
+    "no key": (("--vlm", "anthropic:claude-sonnet-5-5"), ["ANTHROPIC_API_KEY"]),
+    "no cassette": (("--vlm", "replay:none.jsonl"), ["none.jsonl"]),
+    "no cassette to replay": (("--replay", "none.jsonl"), ["none.jsonl"]),
+    "deadline": (("--vlm", "openai:any@http://[::1]:9", "--deadline", "0"), ["deadline"]),
+    "strategy": (("--vlm", "openai:any@http://[::1]:9", "--strategy", "x"), ["'x'", "gsi"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_MODELS)
+def test_eval_says_what_is_wrong_with_a_model_before_it_starts(case, monkeypatch, tmp_path):
+    monkeypatch.delenv("ANTHROPIC_API_KEY", raising=False)
+    arguments, words = BAD_MODELS[case]
+    refused(tog("eval", "--scenarios", "Mug", *arguments, "--out", tmp_path / "e"), *words)
+    assert not (tmp_path / "e").exists()
+
+
+def _as_models_do(monkeypatch, *records):
+    """Lets episodes end as ``records``; returns the options and the cells that were run."""
+    ran = []
+
+    def in_processes(work, cells, workers):
+        for cell, record in zip(cells, records, strict=False):
+            ran.append((cell, work.keywords["options"]))
+            yield [record]
+
+    monkeypatch.setattr(evaluation, "in_processes", in_processes)
+    return ran
+
+
+EVAL_MODEL = ("eval", "--scenarios", "Mug", "--tasks", "use", "--vlm", "openai:any@http://[::1]:9")
+
+
+@pytest.mark.parametrize("fallback", ["fail", "geometric"])
+def test_eval_asks_a_model_and_stops_where_the_server_does_not_take_the_question(
+    fallback, monkeypatch, tmp_path
+):
+    by = fallback if fallback == "geometric" else None
+    outcome = "lifted" if by else "no_choice"
+    answered = _asked("lifted", "ok")
+    rejected = _asked(outcome, "rejected", by, "status 401\x1b: wrong key")
+    ran = _as_models_do(monkeypatch, answered, rejected, answered)
+    done = tog(*EVAL_MODEL, "--seeds", 3, "--fallback", fallback, "--out", tmp_path)
+    refused_at_last = done.err.splitlines()[-1]
+    assert (done.status, len(ran)) == (2, 2)
+    assert "does not take the question" in refused_at_last
+    assert "wrong key" in refused_at_last
+    assert "\x1b" not in done.err
+    assert {cell.selector for cell, _ in ran} == {"vlm"}
+    assert {(o.vlm, o.fallback) for _, o in ran} == {("openai:any@http://[::1]:9", fallback)}
+    assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
+
+
+def _asked(outcome, status, fallback=None, message=""):
+    vlm = {
+        "strategy": "gsi", "model": "openai:any", "status": status, "fallback": fallback,
+        "exchanges": [{"message": message}],
+    }  # fmt: skip
+    return {**_episode("Mug", "vlm", outcome), "vlm": vlm, "message": message}
+
+
+def test_why_there_was_no_choice_and_what_the_fallback_did_is_in_the_table():
+    failed = [_asked("no_choice", s) for s in ("refused", "unreachable", "unreachable")]
+    (row, _) = evaluation.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
+    assert row["failures"] == "3 no_choice (unreachable 2, refused 1), 1 slipped"
+    replaced = [_asked("lifted", "timed_out", "geometric"), _asked("empty", "empty", "geometric")]
+    (row, _) = evaluation.summarize([*replaced, _asked("lifted", "ok")])
+    assert row["failures"] == "1 empty, by fallback 2 (timed_out 1, empty 1)"
 
 
 def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):

@@ -79,8 +79,14 @@ def test_what_lies_out_of_the_picture_is_named_where_it_enters_it():
     np.testing.assert_allclose(named, [[100, 200]])
     _, named = place((672, 672), anchors[:, :2])
     np.testing.assert_allclose(named, [[100, 0]])  # the nearest that there is
-    centers, _ = place((672, 672), np.full((1, 3, 2), np.nan))
+    _, named = place((672, 672), np.array([[[900.0, -400.0], [700.0, 300.0], [-90.0, 671.0]]]))
+    np.testing.assert_allclose(named, [[671, 300]])
+
+
+def test_what_is_nowhere_gets_a_disc_that_names_nothing_in_the_picture():
+    centers, named = place((672, 672), np.full((2, 3, 2), np.nan))
     assert np.isfinite(centers).all()
+    np.testing.assert_array_equal(named, centers)  # the leader has no length
 
 
 def test_discs_without_room_are_an_error_that_says_how_many_there_is_room_for():

@@ -48,7 +48,9 @@ def _not_there(name):
     raise ImportError(f"No module named {name!r}")
 
 
-KEYS = ("OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY")
+KEYS = (
+    "OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY", "VLM_API_KEY"
+)  # fmt: skip
 
 
 def test_it_says_whether_a_key_is_set_and_nothing_else_of_it(monkeypatch):
@@ -59,6 +61,7 @@ def test_it_says_whether_a_key_is_set_and_nothing_else_of_it(monkeypatch):
         (True, "set in OPENAI_API_KEY"),
         (True, "set in GOOGLE_API_KEY"),
         (True, "set in ANTHROPIC_API_KEY"),
+        (True, "set in VLM_API_KEY"),
     ]
 
 
@@ -72,7 +75,7 @@ def test_what_cannot_be_a_key_is_said_without_repeating_it(monkeypatch):
 
 @pytest.mark.parametrize("provider", [OpenAi, Gemini, Anthropic])
 def test_a_key_is_looked_for_where_the_provider_takes_it_from(provider, monkeypatch):
-    variables = dict(zip((OpenAi, Gemini, Anthropic), doctor._KEYS.values(), strict=True))[provider]
+    variables = doctor._KEYS[provider.__name__.replace("Ai", "AI")]
     config = provider(model="any")
     for other in KEYS:
         monkeypatch.delenv(other, raising=False)

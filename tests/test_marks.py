@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -10,12 +11,13 @@ from tabletop import HAMMER_SIZED, TABLE, look
 
 from tog_drake.drawing import CANDIDATE_COLORS, hand_wireframe, project_segments
 from tog_drake.pinhole import project, unproject
-from tog_drake.selectors.discs import RADIUS, contrast, text_color
+from tog_drake.selectors.discs import RADIUS, contrast, place_discs, text_color
 from tog_drake.selectors.marks import (
     BESIDE,
     TILE,
     Framing,
     Mark,
+    _unmistakable,
     draw_contacts,
     draw_grippers,
     frame_things,
@@ -27,10 +29,15 @@ from tog_drake.values import Grasps
 PURE = [Mark(str(i + 1), rgb) for i, (_, rgb) in enumerate(CANDIDATE_COLORS)]
 
 
+@cache
+def bar(width, height):
+    view = look([TABLE, HAMMER_SIZED], width=width, height=height)
+    return view, unproject(view)[view.rgb[..., 1] == 0][::7]
+
+
 def world(n=5, width=640, height=480):
     """A view of a bar on a table, the bar's points, and ``n`` grasps across it from above."""
-    view = look([TABLE, HAMMER_SIZED], width=width, height=height)
-    p_W = unproject(view)[view.rgb[..., 1] == 0][::7]
+    view, p_W = bar(width, height)
     x = np.linspace(0.41, 0.59, n)
     X_WG = np.tile(np.eye(4), (n, 1, 1))
     X_WG[:, :3, :3] = Rotation.from_euler("xyz", [180, 15, 0], degrees=True).as_matrix()
@@ -76,6 +83,60 @@ def test_the_things_and_the_fingers_fill_the_marked_picture(size):
     shown = framing.from_view(seen)
     assert (shown >= 0).all() and (shown <= np.array(framing.size) - 1).all()
     assert (np.ptp(shown, axis=0) / framing.size).max() > 0.7
+
+
+def lower_part(view, rows):
+    """What a camera sees that misses the upper rows of a view."""
+    camera = view.intrinsics
+    return replace(
+        view,
+        rgb=view.rgb[rows:].copy(),
+        depth=view.depth[rows:].copy(),
+        intrinsics=replace(camera, height=camera.height - rows, cy=camera.cy - rows),
+    )
+
+
+@pytest.mark.parametrize("rows", [130, 180, 220])
+def test_a_hand_that_reaches_beyond_the_view_is_not_cut(rows):
+    view, _, grasps = world(4)
+    view = lower_part(view, rows)
+    p_W = unproject(view)[view.rgb[..., 1] == 0]
+    framing = frame_things(view, p_W, grasps)
+    hands = project_segments(hand_wireframe(grasps)[:, :3].reshape(-1, 2, 3), view).reshape(-1, 2)
+    assert (hands[:, 1] < -10).any()
+    shown = framing.from_view(hands)
+    assert (shown >= 5).all() and (shown <= np.array(framing.size) - 6).all()
+    image = draw_grippers(view, framing, grasps, PURE[:4], "marked")
+    assert (plain(view, framing)[0] == BESIDE).all()
+    for i in range(4):  # the finger tips, which no other hand hides
+        u, v = np.rint(shown.reshape(4, 6, 2)[i, [0, 5]]).astype(int).T
+        assert (image[v, u] == PURE[i].color).all()
+
+
+def test_of_a_hand_whose_palm_and_stem_are_out_of_the_picture_a_finger_is_named():
+    view, p_W, grasps = world(2)
+    tips = frame_things(view, p_W, grasps.take(np.array([0])))
+    palm = project_segments(hand_wireframe(grasps)[0, [1, 3]], view).reshape(-1, 2)
+    upper = int(palm[:, 1].max()) + 4  # only what is below is in the picture
+    framing = replace(tips, corner=(tips.corner[0], upper))
+    hands = framing.from_view(
+        project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
+    ).reshape(-1, 4, 2, 2)
+    assert (hands[0, [1, 3], :, 1] < 0).all() and (hands[0, [0, 2], :, 1] > 0).any()
+    _, named = place_discs(
+        framing.size,
+        _unmistakable(hands, framing.size, apart=8.0),
+        lines=hands[:, :3].reshape(-1, 2, 2),
+        stems=hands[:, 3],
+        things=np.zeros((0, 2)),
+        thickness=4.0,
+    )
+    start, end = hands[0, [0, 2]].transpose(1, 0, 2)
+    share = np.clip(
+        np.sum((named[0] - start) * (end - start), 1) / np.sum((end - start) ** 2, 1), 0, 1
+    )
+    off = np.linalg.norm(start + share[:, None] * (end - start) - named[0], axis=1)
+    assert off.min() < 1.0
 
 
 def test_nothing_to_frame_shows_the_whole_view():

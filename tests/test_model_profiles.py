@@ -133,6 +133,12 @@ mine:
         ),
         ("scale: 1000", "scale: pixel\n  resize: {rule: crop}", "rule: 'crop'; use smart or fit"),
         ("scale: 1000", "scale: pixel\n  resize: 7", "rule: None"),
+        ("scale: 1000", "scale: pixel\n  max_side: 0", "max_side: 0"),
+        (
+            "scale: 1000",
+            "scale: 1000\n  max_side: 2048",
+            "max_side: 2048; a whole number, where pixels are told",
+        ),
         (
             "scale: 1000",
             "scale: pixel\n  resize: {rule: fit, patch: 28, edge: 0, tokens: 5}",

@@ -1,7 +1,5 @@
 """Who chooses the grasp, as the command line says it."""
 
-import json
-
 import pytest
 from command import refused, tog
 from vlm_server import KEY_VARIABLES
@@ -11,8 +9,10 @@ from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.strategies import STRATEGIES
+from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.profiles import PROFILES
+from tog_drake.selectors.vlm.recorded import Recorded
 from tog_drake.selectors.vlm.selector import FALLBACKS, Vlm
 
 MODEL = "openai:any@http://127.0.0.1:9/v1"
@@ -44,6 +44,18 @@ def test_to_name_a_model_is_to_choose_by_it():
     assert selector.fallback == "geometric"  # where nobody says otherwise
 
 
+def test_to_name_a_cassette_to_replay_is_to_choose_by_it_too(tmp_path):
+    tape = tmp_path / "c.jsonl"
+    question = Recorded("0" * 64, "/v1", {}, "gemini:gemini-9", "gemini", "gsi/1")
+    Cassette(tape, "record").enter(question)
+    assert applied(replay=tape) == applied(vlm=f"replay:{tape}") == Vlm(replay=str(tape))
+
+
+def test_the_time_for_a_decision_can_be_limited():
+    assert applied(vlm=MODEL, deadline=7.5).deadline == 7.5
+    assert applied(scenario=Vlm(deadline=9.0), vlm=MODEL).deadline == 9.0
+
+
 def test_what_is_not_given_stays_as_the_scenario_has_it():
     of_scenario = Vlm(strategy="cpmi", model=OpenAi("any"), votes=2, fallback="fail", deadline=7.0)
     of_scenario.model.base_url = "http://127.0.0.1:9/v1"
@@ -67,6 +79,13 @@ def test_a_cassette_is_recorded_or_replayed_never_both(tmp_path):
     assert (replayed.record, replayed.replay) == (None, str(tmp_path / "old.jsonl"))
 
 
+def test_to_replay_leaves_the_model_that_the_scenario_has(tmp_path):
+    (tmp_path / "old.jsonl").write_text("")
+    model = OpenAi("any", "http://127.0.0.1:9/v1", max_tokens=777, effort="low")
+    selector = applied(scenario=Vlm(model=model), vlm=f"replay:{tmp_path / 'old.jsonl'}")
+    assert (selector.model, selector.replay) == (model, str(tmp_path / "old.jsonl"))
+
+
 BAD = {
     "strategy alone": ((*RUN, "--strategy", "cpg"), ["--strategy", "--vlm openai:MODEL@URL"]),
     "record alone": ((*RUN, "--record", "c.jsonl"), ["--record", "--vlm"]),
@@ -80,6 +99,8 @@ BAD = {
     "profile of no model": (
         (*RUN, "--selector", "vlm", "--profile", "gemini"), ["--profile", "--vlm"]
     ),
+    "deadline": ((*WITH_MODEL, "--deadline", "0"), ["deadline", "above 0"]),
+    "deadline of another selector": ((*RUN, "--deadline", "5"), ["--deadline", "--vlm"]),
     "strategy": ((*WITH_MODEL, "--strategy", "gpsi"), ["'gpsi'", *STRATEGIES]),
     "rendering": ((*WITH_MODEL, "--rendering", "neon"), ["'neon'", "marked", "paper"]),
     "fallback": ((*WITH_MODEL, "--fallback", "guess"), ["'guess'", *FALLBACKS]),
@@ -124,8 +145,14 @@ def test_a_cassette_below_a_file_cannot_be_written(tmp_path):
 
 def test_a_password_in_an_address_is_not_repeated():
     done = tog(*RUN, "--vlm", "openai:any@http://me:sesame-0123456789@127.0.0.1:9/v1")
-    refused(done, "OPENAI_API_KEY")
+    refused(done, "VLM_API_KEY")
     assert "sesame" not in done.err
+
+
+@pytest.mark.parametrize("model", ["!Gemini {model: gemini-3.8-flash}", "!OpenAi {model: gpt-6}"])
+def test_the_key_of_a_scenario_s_model_is_looked_for_before_a_run(model):
+    text = f"pipeline: {{selector: !Vlm {{model: {model}}}}}"
+    refused(tog(*RUN, "--scenario-text", text), "_API_KEY")
 
 
 def test_choose_takes_the_same_options():
@@ -134,7 +161,6 @@ def test_choose_takes_the_same_options():
     refused(tog("choose", *view, "--vlm", MODEL, "--strategy", "x"), "'x'", *STRATEGIES)
 
 
-def test_the_diagram_of_a_selector_that_asks_a_model_needs_one():
+def test_a_selector_that_asks_a_model_needs_one():
     with pytest.raises(InputError, match="no model"):
         applied(selector="vlm")
-    assert json.dumps(vars(applied(vlm=MODEL)), default=vars)  # what a record keeps of it

@@ -1,6 +1,8 @@
 """The texts that a model is sent."""
 
+import hashlib
 import json
+import re
 
 import jinja2
 import pytest
@@ -9,6 +11,9 @@ from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
 from tog_drake.selectors import prompts
+from tog_drake.selectors.vlm.answers import VERSION, instruction, schema
+from tog_drake.selectors.vlm.profiles import PROFILES
+from tog_drake.selectors.vlm.question import Options, Points
 
 VALUES = {
     "task": "hand me the hammer",
@@ -18,12 +23,51 @@ VALUES = {
     "rounds": 3,
     "problem": "no number in it",
     "answer": "well ...",
+    "question": "point",
+    "color": "red",
 }
-ASKING = [name for name in prompts.names() if name != "repair"]
+ASKING = [name for name in prompts.names() if name not in ("canary", "repair")]
+# Of everything that a model is told: a text that changes needs a new version, and a new line here.
+HASHES = {
+    "avoid/1": "bce9b0a5642247b7",
+    "canary/1": "93ceae4afb97fe6f",
+    "cpg/1": "6fa7953f8ee43877",
+    "cpmi/1": "9033412b42363049",
+    "cpsi/1": "f77c23799fb44a80",
+    "gmi/1": "e5a845d66bcd3737",
+    "gsi/1": "c2be41742b5e4196",
+    "pivot/1": "871388c2a44f41c2",
+    "repair/1": "f98a9ab7570486d2",
+    "answer/1": "c0483dd76b0c1803",
+}
 
 
 def rendered(name, rendering="marked", **values):
     return prompts.load(name).render(**{**VALUES, "rendering": rendering, **values})
+
+
+def _hash(text):
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def test_no_text_changes_without_a_new_version():
+    asked = [Options(("1", "2")), Points(("grasp",), (640, 480)), Points(("a", "b"), (64, 48))]
+    told = [
+        [name, instruction(profile, expects), schema(profile, expects)]
+        for name, profile in sorted(PROFILES.items())
+        for expects in asked
+    ]
+    loaded = [prompts.load(name) for name in prompts.names()]
+    comment = r"\{#.*#\}\n"  # is not sent
+    hashes = {prompt.version: _hash(re.sub(comment, "", prompt.source)) for prompt in loaded}
+    assert {**hashes, VERSION: _hash(json.dumps(told))} == HASHES
+
+
+@pytest.mark.parametrize("question", ["number", "colour", "point"])
+def test_the_canary_asks_one_thing_at_a_time(question):
+    text = rendered("canary", question=question)
+    assert len(text.splitlines()) == 1
+    assert ("the red disc" in text) == (question == "point")
 
 
 @pytest.mark.parametrize("name", prompts.names())

@@ -65,7 +65,7 @@ def test_a_record_has_every_field_of_the_schema_in_its_order_and_is_json():
     assert record["rejected"] == {"no_ik": 1}
     assert record["choice"] == {
         "index": 2, "planned_index": 1, "part": None, "reason": "why", "status": "ok",
-        "pixel": [1.23, 2.0], "pointed": {"grasp": [3.0, 4.57]}, "score": 1.0, "width": 0.03,
+        "pixel": [1.234567, 2.0], "pointed": {"grasp": [3.0, 4.567]}, "score": 1.0, "width": 0.03,
     }  # fmt: skip
     assert record["motion"] == {"duration": 6.0, "phases": {"lift": 2.0}, "note": ""}
     assert record["outcome"] == "chosen"
@@ -157,6 +157,7 @@ def _exchange(**changes):
             "seconds": 0.51239,
             "tokens": {"input": 7, "output": 2},
             "cost": None,
+            "points": {"grasp": (1.0 / 3.0, 0.125)},
             **changes,
         }
     )
@@ -184,6 +185,7 @@ def test_what_a_model_was_asked_and_said_is_in_the_record_without_the_images():
                 "text": "[image 1]\n\nWhich?",
                 "marks": {"1": 2, "2": 0},
                 "key": "ab" * 32,
+                "points": {"grasp": [1.0 / 3.0, 0.125]},
                 "answer": "1",
                 "status": "ok",
                 "message": "",
@@ -191,6 +193,7 @@ def test_what_a_model_was_asked_and_said_is_in_the_record_without_the_images():
                 "seconds": 0.512,
                 "tokens": {"input": 7, "output": 2},
                 "cost": None,
+                "replayed": None,
             }
         ],
     }

@@ -254,6 +254,22 @@ def test_the_page_tells_what_a_model_was_asked_and_what_it_said():
     assert "What the model was asked" not in report_html([EpisodeReport(make_record())])
 
 
+def test_the_page_tells_what_was_asked_at_every_look_and_sums_it():
+    episode = EpisodeReport(
+        make_record(vlm=make_vlm()),
+        exchanges=(make_exchange(),),
+        exchanges_before=(make_exchange("1", prompt="gsi/0"),),
+    )
+    page = text_of(report_html([episode]))
+    for said in (
+        "Question 1 gsi/0, at an earlier look, whose grasp failed ok",
+        "Question 2 gsi/1 ok",
+        "In all 1.6 s, 2,468 tokens, $0.0025",
+    ):
+        assert said in page.text, said
+    assert page.text.count("2 is grasp 4 (chosen)") == 1  # a row of the last look
+
+
 def test_the_page_tells_of_an_answer_that_was_no_use_and_who_chose_instead():
     nothing = make_exchange(
         None, status="timed_out", message="no answer in 60 s", model=None, tokens=None, cost=None
@@ -267,8 +283,19 @@ def test_the_page_tells_of_an_answer_that_was_no_use_and_who_chose_instead():
         "Model that answered not said",
         "0.8 s, price unknown",
         "1.6 s, price unknown",  # in all
+        "chosen by geometric, not by the model",
     ):
         assert said in page.text, said
+
+
+def test_the_page_tells_replayed_answers_from_live_ones():
+    exchanges = make_exchange(replayed="a<b>.jsonl"), make_exchange("1")
+    page = text_of(report_html([EpisodeReport(make_record(vlm=make_vlm()), exchanges=exchanges)]))
+    replayed = "It took replayed from a<b>.jsonl; when asked 0.8 s, 1,234 tokens, $0.0012"
+    assert page.text.count(replayed) == 1
+    assert "It took 0.8 s, 1,234 tokens" in page.text
+    assert "In all 1 of 2 replayed from a<b>.jsonl; when asked 1.6 s" in page.text
+    assert "chosen by" not in page.text
 
 
 def test_an_image_that_is_asked_about_again_is_carried_once():

@@ -36,11 +36,16 @@ class _WithBadOnesFirst:
         return Grasps(*(np.concatenate([getattr(g, c) for g in (bad, good)]) for c in columns))
 
 
+def _stand_for_questions(decision):
+    return (decision.choice.grasp.score[0],)
+
+
 @pytest.fixture(scope="module")
 def episode():
     make_proposer = pipeline.make_proposer
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "make_proposer", lambda *a: _WithBadOnesFirst(make_proposer(*a)))
+        patch.setattr("tog_drake.episode.exchanges_of", _stand_for_questions)
         return run_episode(load_scenario("Hammer", SETTINGS), name="Hammer", task="use the hammer")
 
 
@@ -56,6 +61,10 @@ def test_every_attempt_is_recorded_with_what_the_hand_felt(episode):
     assert first["opening"] < 0.002
     assert second["choice"] == episode.record["choice"]
     assert second["opening"] > 0.005
+
+
+def test_what_a_model_was_asked_at_the_first_look_is_kept_apart_from_the_last(episode):
+    assert episode.exchanges_before == (1.0,)
 
 
 def test_the_second_grasp_is_unlike_the_one_that_failed(episode):

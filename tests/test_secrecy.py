@@ -10,7 +10,7 @@ from tabletop import TABLE, look
 from test_choose import ABOVE, BLOCK
 from test_choose import _write as write_view
 from test_replay import select
-from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, VlmServer, echo_key
+from vlm_server import KEY, PROVIDERS, VlmServer, echo_key, plant_keys
 
 from tog_drake.errors import InputError
 from tog_drake.report import EpisodeReport, report_html
@@ -25,9 +25,7 @@ PARTS = (KEY, KEY[:12], KEY[-12:])
 
 @pytest.fixture(autouse=True)
 def planted(monkeypatch):
-    monkeypatch.delenv("GOOGLE_API_KEY", raising=False)
-    for variable in KEY_VARIABLES.values():
-        monkeypatch.setenv(variable, KEY)
+    plant_keys(monkeypatch)
 
 
 def shows_no_key(text):

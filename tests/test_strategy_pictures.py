@@ -57,10 +57,12 @@ def test_all_hands_or_contacts_are_in_one_image_or_each_in_its_own(shown):
         assert set().union(*(colors_in(image) - bare for image in single)) == colors
 
 
-def test_the_pictures_can_be_made_again(program, shown):
+def test_the_pictures_are_those_that_the_program_makes_now(program, shown):
     made = program["pictures"](shown)
     assert list(made) == NAMES
-    committed = cv2.imread(str(FOLDER / "vlm" / "strategies.png"))
-    assert made["strategies"].shape == committed.shape
-    for image in made.values():
-        assert image.dtype == np.uint8 and image.std() > 10
+    for name, image in made.items():
+        committed = cv2.imread(str(FOLDER / "vlm" / f"{name}.png"))[..., ::-1]
+        assert committed.shape == image.shape, name
+        # Renderers and fonts differ by a shade; a disc elsewhere changes 3 in 1000 pixels.
+        changed = np.abs(committed.astype(int) - image).max(axis=2) > 40
+        assert changed.mean() < 1e-3, name

@@ -6,7 +6,10 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from tog_drake.terminal import print_answers, say
+from tog_drake.selectors.geometric import Geometric
+from tog_drake.selectors.vlm.openai import OpenAi
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.terminal import deciding, print_answers, print_stages, say
 
 
 def printed(record):
@@ -18,7 +21,7 @@ def printed(record):
 def exchange(**changes):
     return {
         "answer": "2", "status": "ok", "message": "", "model": "gpt-9", "seconds": 0.81,
-        "tokens": {"input": 1200, "output": 34}, "cost": 0.00123, **changes,
+        "tokens": {"input": 1200, "output": 34}, "cost": 0.00123, "replayed": None, **changes,
     }  # fmt: skip
 
 
@@ -41,6 +44,46 @@ def test_it_says_what_is_wrong_with_an_answer_and_who_chose_instead():
         "model: openai:gpt did not answer (timed_out: 60 s) in 0.8 s, $0.0012",
         "fallback: geometric chose, because the model's answer was no use",
     ]
+
+
+def test_of_a_failure_that_is_replayed_nothing_more_is_known():
+    lost = exchange(answer=None, replayed="c.jsonl", seconds=0, tokens=None, cost=None)
+    assert printed(vlm(lost)) == "model: gpt-9 did not answer (replayed from c.jsonl)\n"
+
+
+def test_a_replayed_answer_is_not_told_as_if_it_were_live():
+    assert printed(vlm(exchange(replayed="c.jsonl"), exchange(replayed="c.jsonl", seconds=0))) == (
+        'model: gpt-9 answered "2" '
+        "(replayed from c.jsonl; when asked 0.8 s, 1,234 tokens, $0.0012)\n"
+        'model: gpt-9 answered "2" (replayed from c.jsonl; when asked 1,234 tokens, $0.0012)\n'
+    )
+
+
+@pytest.mark.parametrize(
+    ("asked", "line"), [(vlm(), "the model: rejected"), ({"vlm": None}, "status: rejected")]
+)
+def test_what_became_of_the_question_is_not_taken_for_the_outcome(asked, line):
+    choice = {"part": None, "index": 7, "reason": "So it is.", "status": "rejected"}
+    record = {
+        "task": "lift it", "counts": {}, "seconds": {}, "choice": choice, "held": {},
+        "outcome": "lifted", "turned": None, "message": None, "collisions": None, **asked,
+    }  # fmt: skip
+    out = StringIO()
+    print_stages(Console(file=out, width=80), record)
+    assert out.getvalue().splitlines()[-3:] == [
+        "choice: grasp 7. So it is.",
+        line,
+        "outcome: lifted",
+    ]
+
+
+def test_one_is_told_whom_one_waits_for():
+    model = OpenAi(model="llava\x1b", base_url="http://gpu:8000/v1")
+    assert deciding(Vlm(model=model, deadline=30)) == (
+        "asking llava\\u001b at gpu:8000 (at most 30 s)"
+    )
+    assert deciding(Vlm(model=model, replay="c.jsonl")) == "deciding"
+    assert deciding(Geometric()) == "deciding"
 
 
 def test_of_a_long_answer_the_end_is_shown_where_the_choice_is():

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, Spoken, VlmServer, status
+from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, Spoken, VlmServer, plant_keys, status
 
 from tog_drake.drawing import encode_png
 from tog_drake.selectors.vlm import transport
 from tog_drake.selectors.vlm.anthropic import Anthropic
 from tog_drake.selectors.vlm.bodies import spare
 from tog_drake.selectors.vlm.gemini import Gemini
-from tog_drake.selectors.vlm.openai import OpenAi, without_thoughts
+from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.question import Message, Reply, Unanswered
 
 CONFIGS = {"openai": OpenAi, "gemini": Gemini, "anthropic": Anthropic}
@@ -49,9 +49,7 @@ JSON = st.recursive(
 
 @pytest.fixture(autouse=True)
 def keys(monkeypatch):
-    monkeypatch.delenv("GOOGLE_API_KEY", raising=False)
-    for variable in KEY_VARIABLES.values():
-        monkeypatch.setenv(variable, KEY)
+    plant_keys(monkeypatch)
 
 
 def png(image):
@@ -161,21 +159,17 @@ def test_an_empty_answer_is_empty(provider):
     assert ask(provider, Spoken(None)).text == ""
 
 
-@pytest.mark.parametrize(
-    ("text", "answer"),
-    [
-        ("<think>1 or 3</think>\n2", "\n2"),
-        ("no opening tag: 1 or 3</think>2", "2"),
-        ("<think>a</think>b<think>c</think>2", "2"),
-        ("<think>1 or 3, and then the tokens ran", ""),
-        ("  <think>", ""),
-        ("I <think> it is 2", "I <think> it is 2"),
-        ("2", "2"),
-    ],
-)
-def test_what_a_model_thinks_aloud_is_left_out(text, answer):
-    assert without_thoughts(text) == answer
-    assert ask("openai", text).text == answer
+@pytest.mark.parametrize("name", ["reasoning", "reasoning_content", "thinking"])
+@pytest.mark.parametrize("content", [None, "", " \n", []])
+def test_reasoning_and_no_answer_is_a_cut_answer_though_the_server_says_stop(name, content):
+    message = {"role": "assistant", "content": content, name: "First 1, or 3? Final answer: 7"}
+    body = {"choices": [{"message": message, "finish_reason": "stop"}]}
+    assert OpenAi(model="any").read(body).finish == "length"
+
+
+def test_what_a_model_thinks_aloud_is_left_to_the_reader_of_answers():
+    said = "<think>1 or 3</think>\n2"
+    assert ask("openai", said).text == said
 
 
 def test_a_list_of_parts_is_an_answer_too():

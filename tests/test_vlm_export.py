@@ -13,7 +13,6 @@ from tog_drake.episode import build_world, look
 from tog_drake.evaluation import Cell, cell_scenario
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
-from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.recorded import Recorded
 
@@ -76,6 +75,10 @@ def test_a_run_goes_on_where_somebody_answered_its_question_by_hand(tmp_path, mo
     assert imported.status == 0, imported.err
     assert "1 added" in imported.out
     assert "1 answered, 0 pending" in imported.out
+    assert "then: the same tog vlm export again" in imported.out
+    again = tog("vlm", "import", out / "answers.jsonl", "--cassette", tape)
+    assert "1 known already" in again.out
+    assert "then:" not in again.out
 
     view, cloud, candidates, by_hand = looked(config(replay=tape))
     assert by_hand.exchanges[0].key == entry.key
@@ -96,7 +99,7 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
 
     cells = []
 
-    def look_at(cell, options):
+    def look_at(cell, options, cassette):
         cells.append(cell)
         return _Looked(problem="no grasp") if cell.seed else _Looked()
 
@@ -112,17 +115,14 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     ]  # fmt: skip
     assert "2 decided, 0 waiting for answers, 2 without a question" in done.out
     assert "no question: Mug, seed 1: use the mug: no grasp" in done.out
-    text = done.out.splitlines()[-1].strip("'")
-    scenario = parse_scenario(text, "what is to be copied", Scenario())
-    selector = scenario.pipeline.selector
-    assert (selector.strategy, selector.replay) == ("gmi", str(tmp_path / "t.jsonl"))
+    assert f"go on: tog eval --vlm replay:{tmp_path / 't.jsonl'}" in done.out
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ((), ("--task for one scenario, or --scenarios",)),
-        (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or",)),
+        (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or", "not both")),
         (("--scenarios", "objects", "--seed", 3), ("--seeds",)),
         (("--task", "..."), ("no words",)),
         (("--task", TASK, "--strategy", "gpt"), ("strategy", "gsi, cpsi")),

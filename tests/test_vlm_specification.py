@@ -18,6 +18,7 @@ from tog_drake.selectors.vlm.specification import (
     specification,
 )
 
+PROVIDER_KEYS = ("OPENAI_API_KEY", "GOOGLE_API_KEY", "GEMINI_API_KEY", "ANTHROPIC_API_KEY")
 KEY = "sk-proj-4f9a8b7c6d5e4f3a2b1c"
 
 SPECIFICATIONS = {
@@ -75,6 +76,65 @@ def test_what_names_no_model_is_refused_and_no_secret_of_it_is_shown(text):
     assert "user:secret" not in str(info.value)
 
 
+HOSTS = st.from_regex(
+    r"([a-z][a-z0-9-]{0,8}(\.[a-z]{2,3})?|[0-9]{1,3}(\.[0-9]{1,3}){3}|\[::1\])(:[0-9]{1,5})?(/v1)?/?",
+    fullmatch=True,
+).filter(lambda host: host not in ("latest", "default"))
+
+
+@given(
+    st.sampled_from(sorted(PROVIDERS)),
+    st.sampled_from(["any", "gpt-5", "a@b", "qwen2.5vl:7b", "molmo"]),
+    st.sampled_from(["", "http:/", "http:", "HTTP://", "ftp://", "//", "user:secret@"]),
+    HOSTS,
+)
+@example("openai", "any", "", "127.0.0.1:8080/v1")
+@example("openai", "gpt-5", "", "localhost:11434/v1")
+@example("openai", "gpt-5", "", "localhost")
+def test_an_address_without_http_is_never_taken_for_part_of_a_name(provider, model, before, host):
+    with pytest.raises(InputError, match="begins with http:// or https://") as info:
+        read_specification(f"{provider}:{model}@{before}{host}", profile="pixels")
+    assert "secret" not in str(info.value)
+    with pytest.raises(InputError, match="begins with http:// or https://"):
+        check_model(PROVIDERS[provider](model=f"{model}@{before}{host}", profile="pixels"))
+
+
+def test_a_version_after_an_at_sign_belongs_to_the_name():
+    assert read_specification("anthropic:claude-opus@20250514").model == "claude-opus@20250514"
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [
+        ("ollama:llava", "openai:llava@http://localhost:11434/v1"),
+        ("Ollama:qwen2.5vl:7b", "openai:qwen2.5vl:7b@http://localhost:11434/v1"),
+        ("vllm:Qwen/Qwen3-VL-8B", "openai:Qwen/Qwen3-VL-8B@http://localhost:8000/v1"),
+        ("gpt-4o", "openai:gpt-4o"),
+        ("gemini-3.8-flash", "gemini:gemini-3.8-flash"),
+        ("claude-sonnet-5-5", "anthropic:claude-sonnet-5-5"),
+    ],
+)
+def test_what_was_probably_meant_is_said_and_is_valid(text, meant):
+    with pytest.raises(InputError, match=f"did you mean {meant};"):
+        read_specification(text)
+    read_specification(meant, profile="pixels")
+
+
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        ("openai:any@http://h:1/v1/chat/completions", "http://h:1/v1"),
+        ("openai:any@http://h:1/v1/chat/completions/", "http://h:1/v1"),
+        ("anthropic:claude-opus-5@http://h/v1/messages", "http://h"),
+        ("anthropic:claude-opus-5@http://h/v1", "http://h"),
+        ("gemini:gemini-9@http://h/v1beta", "http://h"),
+    ],
+)
+def test_an_address_of_an_endpoint_is_refused_with_the_right_one(text, right):
+    with pytest.raises(InputError, match=f"; valid: {right}$"):
+        read_specification(text)
+
+
 @given(st.text() | st.from_regex(r"(openai|gemini|qwen):[^ ]{0,9}@https?://.{0,9}", fullmatch=True))
 @example("openai:any@http://a..b/v1")
 def test_every_text_is_a_model_or_is_refused(text):
@@ -122,11 +182,52 @@ def test_a_key_is_not_sent_where_others_can_read_it(monkeypatch):
     assert OpenAi(base_url="http://192.168.0.7:8000/v1").headers() == {}
     assert OpenAi(base_url="http://localhost.example.com/v1").headers() == {}
     assert KEY in str(OpenAi(base_url="http://localhost:8000/v1").headers())
-    assert KEY in str(OpenAi(base_url="https://openrouter.ai/api/v1").headers())
     with pytest.raises(InputError, match="valid: https"):
         Anthropic(base_url="http://api.anthropic.com").headers()
     with pytest.raises(InputError, match="valid: https"):
         OpenAi(base_url="http://api.openai.com/v1").headers()
+
+
+@pytest.mark.parametrize("host", ["https://evil.example", "https://api.openai.com.evil.example"])
+@pytest.mark.parametrize("kind", [OpenAi, Qwen, Molmo, Gemini, Anthropic])
+def test_a_provider_s_key_goes_to_no_other_host(kind, host, monkeypatch):
+    for variable in PROVIDER_KEYS:
+        monkeypatch.setenv(variable, KEY)
+    monkeypatch.setenv("VLM_API_KEY", "of-another-server")
+    monkeypatch.setenv("LAB_API_KEY", "of-the-laboratory")
+    config = kind(model="qwen molmo", base_url=host)
+    assert "of-another-server" in str(config.headers())
+    assert KEY not in str(config.headers())
+    config.key_variable = "LAB_API_KEY"
+    assert "of-the-laboratory" in str(config.headers())
+    for variable in PROVIDER_KEYS:
+        config.key_variable = variable
+        for refuses in (config.headers, lambda: check_model(config)):
+            with pytest.raises(InputError, match=f"{variable}.* is not sent to .*VLM_API_KEY"):
+                refuses()
+
+
+@pytest.mark.parametrize("kind", [OpenAi, Gemini, Anthropic])
+def test_a_provider_s_own_host_gets_no_other_provider_s_key(kind, monkeypatch):
+    for variable in PROVIDER_KEYS:
+        monkeypatch.setenv(variable, KEY)
+    own = kind(model="any").key_variables()
+    assert KEY in str(kind(model="any", key_variable=own[0]).headers())
+    for other in set(PROVIDER_KEYS) - set(own):
+        with pytest.raises(InputError, match="belongs to"):
+            kind(model="any", key_variable=other).headers()
+        assert KEY in str(
+            kind(model="any", base_url="http://[::1]:8", key_variable=other).headers()
+        )
+
+
+def test_a_server_without_a_key_of_its_own_is_sent_none(monkeypatch):
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    monkeypatch.delenv("VLM_API_KEY", raising=False)
+    assert OpenAi("any", "https://openrouter.ai/api/v1").headers() == {}
+    for kind in (Gemini, Anthropic):  # these protocols want one
+        with pytest.raises(InputError, match="set the environment variable VLM_API_KEY"):
+            kind("any", "https://gateway.example").headers()
 
 
 def test_a_missing_key_is_said_to_be_missing(monkeypatch):

@@ -14,6 +14,7 @@ from tog_drake.assets_commands import app as assets_app
 from tog_drake.errors import InputError, TogError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    DeadlineOption,
     FallbackOption,
     JsonOption,
     KOption,
@@ -37,6 +38,7 @@ from tog_drake.options import (
 )
 from tog_drake.terminal import (
     console_for,
+    deciding,
     keep_drake_quiet,
     print_failures,
     print_json,
@@ -94,6 +96,7 @@ def run(
     fallback: FallbackOption = None,
     record: RecordOption = None,
     replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
@@ -119,7 +122,7 @@ def run(
     read_task(task)  # a task without words is refused before anything starts
     name = scenario or _scenario_of(object_)
     options = SelectorOptions(
-        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
     )
     loaded = _load(name, scenario_text, options, proposer, k, seed, fallback="geometric")
     if loaded.asset is not None and object_ is not None:
@@ -127,7 +130,7 @@ def run(
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     live = show_live(console) if meshcat else None
-    with console.status("looking, deciding, moving ..."):
+    with console.status(f"looking, {deciding(loaded.pipeline.selector)}, moving ..."):
         episode = run_episode(
             loaded, name=name, task=task, target=_target(object_, scenario), meshcat=live
         )
@@ -198,10 +201,11 @@ def choose(
     fallback: FallbackOption = None,
     record: RecordOption = None,
     replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     proposer: ProposerOption = None,
     k: KOption = None,
     seed: SeedOption = None,
-    out: Annotated[Path, typer.Option(help="Folder for grasps.json and overlay.png.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for grasps.json, overlay.png and more.")] = Path(
         "out/choose"
     ),
     as_json: JsonOption = False,
@@ -212,33 +216,53 @@ def choose(
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import PipelineConfig
     from tog_drake.record import new_record, save_record
+    from tog_drake.report import EpisodeReport, write_report
     from tog_drake.saved_view import load_pose, load_view
+    from tog_drake.vlm_record import exchanges_of
 
     console = console_for(as_json)
     check_folder(out)
     config = PipelineConfig()
     options = SelectorOptions(
-        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay
+        selector, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
     )
     options.apply(config, fallback="geometric")
     _override(config, proposer, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
-    decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
+    with console.status(f"{deciding(config.selector)} ..."):
+        decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
     episode = new_record(decision, config, task=task, seed=seed or 0)
     overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
     save_record(out / "episode.json", episode)
+    report = EpisodeReport(
+        episode, decision.view or view, overlay, exchanges=exchanges_of(decision)
+    )
+    write_report(out / "report.html", [report])
     print_stages(console, episode)
     say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
+    say(console, f"report: {out / 'report.html'}")
     print_json(as_json, episode)
     raise typer.Exit(0 if decision.error is None else 1)
 
 
 @app.command("eval", epilog=_epilog("tog eval --selectors top-score,oracle --seeds 5 --workers 2"))
 def evaluate_(
-    selectors: Annotated[str, typer.Option(help="Comma-separated.")] = "top-score,oracle",
+    selectors: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; by default top-score,oracle, or vlm with --vlm."),
+    ] = None,
+    strategy: StrategyOption = None,
+    vlm: ModelOption = None,
+    profile: ProfileOption = None,
+    rendering: RenderingOption = None,
+    votes: VotesOption = None,
+    fallback: FallbackOption = None,
+    record: RecordOption = None,
+    replay: ReplayOption = None,
+    deadline: DeadlineOption = None,
     scenarios: Annotated[
         str,
         typer.Option(
@@ -267,9 +291,17 @@ def evaluate_(
 
     console = console_for(as_json)
     check_folder(out)
-    chosen = names(selectors)
+    chosen = names(selectors or ("top-score,oracle" if vlm is None and replay is None else "vlm"))
     for selector in chosen:
         valid(selector, SELECTORS, "selector")
+    options = SelectorOptions(
+        None, strategy, vlm, profile, rendering, votes, fallback, record, replay, deadline
+    )
+    if "vlm" not in chosen and options.given():
+        raise InputError(
+            f"{', '.join(options.given())}: only a model is asked so; valid: with vlm among the "
+            "--selectors"
+        )
     cells = make_cells(
         scenario_names(names(scenarios)),
         chosen,
@@ -278,7 +310,7 @@ def evaluate_(
         noise=noise,
         text=scenario_text,
     )
-    records = evaluate(cells, workers=workers, out=out, console=console)
+    records = evaluate(cells, workers=workers, out=out, console=console, options=options)
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)
     print_rates(console, rows)
@@ -346,6 +378,7 @@ def diagram(
     out: Annotated[Path, typer.Option(help="SVG file.")],
     scenario_text: ScenarioText = None,
     selector: SelectorOption = None,
+    vlm: ModelOption = None,
 ) -> None:
     """Draw the Diagram of a scenario: station, stages and the ports that connect them."""
     from tog_drake.diagram_graph import svg
@@ -353,7 +386,8 @@ def diagram(
     from tog_drake.files import write_atomically
 
     check_file(out)
-    loaded = _load(scenario, scenario_text, SelectorOptions(selector))
+    loaded = _load(scenario, scenario_text)
+    SelectorOptions(selector, vlm=vlm).apply(loaded.pipeline, asks=False)
     write_atomically(out, svg(build_world(loaded, target=next(iter(load_objects(loaded)), None))))
     say(console_for(as_json=False), f"picture: {out}")
 

@@ -19,6 +19,7 @@ _KEYS = {
     "OpenAI": ("OPENAI_API_KEY",),
     "Gemini": ("GOOGLE_API_KEY", "GEMINI_API_KEY"),
     "Anthropic": ("ANTHROPIC_API_KEY",),
+    "other servers": ("VLM_API_KEY",),
 }
 
 

@@ -20,8 +20,9 @@ from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.stations.simulation import SimulationStation
-from tog_drake.values import Grasps
+from tog_drake.values import Exchange, Grasps
 from tog_drake.visualization import draw_decision, replay_html
+from tog_drake.vlm_record import exchanges_of
 
 _SAMPLE = 0.02  # [s] between two looks of the judge
 
@@ -33,6 +34,7 @@ class Episode:
     record: EpisodeRecord
     decision: Decision
     replay: str | None  # a static page that plays it over and over, where Meshcat was given
+    exchanges_before: tuple[Exchange, ...] = ()  # with a model, at the looks before the last
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,7 @@ def run_episode(
     context = simulator.get_mutable_context()
     judge = Judge(world.station, world.labels, world.target)
     attempts: list[AttemptRecord] = []
+    exchanges: tuple[Exchange, ...] = ()  # of the looks before this one
     state, wall = None, 0.0
     while state is None or state.phase is Phase.OBSERVE:
         decision = decide(world.pipeline, context)
@@ -146,6 +149,8 @@ def run_episode(
         state = _execute(simulator, world, judge)
         wall += time.perf_counter() - started
         attempts[-1]["opening"] = state.opening_after
+        if state.phase is Phase.OBSERVE:
+            exchanges += exchanges_of(decision)
     record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
     record["scenario"] = name
     record["noise"] = noise_of(scenario.cameras[scenario.pipeline.camera]) is not None
@@ -175,7 +180,7 @@ def run_episode(
         record["combined_success"] = record["grasp_success"] and record["task_compliance"]
     record["sim"]["seconds"] = context.get_time()
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
-    return Episode(record, decision, replay)
+    return Episode(record, decision, replay, exchanges)
 
 
 def look(world: World, scenario: Scenario, task: str) -> Simulator:

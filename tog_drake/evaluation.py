@@ -1,10 +1,11 @@
 """Many episodes: every object, seed and task with each selector."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -21,7 +22,7 @@ from tog_drake.errors import InputError, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
-from tog_drake.pipeline import SELECTORS
+from tog_drake.options import SelectorOptions
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.suite import SCENARIO, load_suite, suite_files
@@ -39,6 +40,8 @@ TASKS = {
     "handover": "hand me the {object}",
     "part": "pick up the {object} by its {part}",
 }
+DEFAULT = SelectorOptions()
+
 Job = TypeVar("Job")
 T = TypeVar("T")
 _BATCH = 20  # episodes between two renewals of the workers
@@ -150,16 +153,32 @@ def _tasks(labels: ObjectParts, kinds: Sequence[str], seed: int) -> Iterator[str
 
 
 def evaluate(
-    cells: Sequence[Cell], *, workers: int, out: Path, console: Console
+    cells: Sequence[Cell],
+    *,
+    workers: int,
+    out: Path,
+    console: Console,
+    options: SelectorOptions = DEFAULT,
 ) -> list[EpisodeRecord]:
     """Runs the episodes in ``workers`` processes; the records come in the order of the cells.
 
     Every finished episode is a line of ``out/episodes.jsonl`` at once, and one that failed leaves
     a picture of what was seen and chosen in ``out/failures``; pictures of an earlier run go away.
 
+    Args:
+        cells: the episodes.
+        workers: processes.
+        out: folder.
+        console: for the progress.
+        options: how a model is asked; they hold for the cells of the selector "vlm".
+
     Raises:
-        TogError: if an episode cannot be run at all, naming it.
+        InputError: a model cannot be asked so; nothing has been run then.
+        TogError: if an episode cannot be run at all, naming it, or the server does not take the
+            questions (a wrong key, a wrong model): every further episode would end likewise.
     """
+    for cell in {(cell.scenario, cell.selector): cell for cell in cells}.values():
+        _configured(cell, options)
     records: list[EpisodeRecord] = []
     out.mkdir(parents=True, exist_ok=True)
     for picture in (out / "failures").glob("*.png"):
@@ -167,17 +186,32 @@ def evaluate(
     with (
         (out / "episodes.jsonl").open("w", encoding="utf-8") as file,
         Progress(console=console) as progress,
+        closing(in_processes(partial(_run, out=out, options=options), cells, workers)) as results,
     ):
         bar = progress.add_task("episodes", total=len(cells))
-        for judged in in_processes(partial(_run, out=out), cells, workers):
+        for judged in results:
             records += judged
             file.write("".join(json.dumps(record) + "\n" for record in judged))
             file.flush()
+            _check_taken(judged[0])
             progress.advance(bar)
     return records
 
 
-def in_processes(work: Callable[[Job], T], jobs: Sequence[Job], workers: int) -> Iterator[T]:
+def _check_taken(record: EpisodeRecord) -> None:
+    """Raises TogError where the server did not take a question."""
+    vlm = record["vlm"]
+    if vlm is not None and vlm["status"] == "rejected":
+        said = [record["message"] or "", *(e["message"] for e in vlm["exchanges"])]
+        raise TogError(
+            f"{record['scenario']}, seed {record['seed']}: {vlm['model']} does not take the "
+            f"question, so the rest is not run: {said[-1]}"
+        )
+
+
+def in_processes(
+    work: Callable[[Job], T], jobs: Sequence[Job], workers: int
+) -> Generator[T, None, None]:
     """Returns what ``work`` makes of each job, in their order.
 
     Raises:
@@ -187,7 +221,9 @@ def in_processes(work: Callable[[Job], T], jobs: Sequence[Job], workers: int) ->
         yield from _run_batch(work, jobs[start : start + _BATCH], workers)
 
 
-def _run_batch(work: Callable[[Job], T], jobs: Sequence[Job], workers: int) -> Iterator[T]:
+def _run_batch(
+    work: Callable[[Job], T], jobs: Sequence[Job], workers: int
+) -> Generator[T, None, None]:
     """Works in new processes: a diagram's memory is not all given back."""
     context = get_context("forkserver")
     with ProcessPoolExecutor(workers, context, initializer=keep_drake_quiet) as pool:
@@ -214,12 +250,17 @@ def cell_scenario(cell: Cell) -> Scenario:
     return scenario
 
 
-def _run(cell: Cell, out: Path) -> list[EpisodeRecord]:
+def _configured(cell: Cell, options: SelectorOptions) -> Scenario:
+    """Returns the scenario of a cell with its selector; what the scenario says of it stays."""
     scenario = cell_scenario(cell)
-    kind = SELECTORS[cell.selector]
-    if not isinstance(scenario.pipeline.selector, kind):  # what the scenario says of it stays
-        scenario.pipeline.selector = kind()
+    of_cell = options if cell.selector == "vlm" else DEFAULT
+    replace(of_cell, selector=cell.selector).apply(scenario.pipeline)
+    return scenario
+
+
+def _run(cell: Cell, out: Path, options: SelectorOptions) -> list[EpisodeRecord]:
     try:
+        scenario = _configured(cell, options)
         episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
     except InputError as error:
         raise InputError(f"{cell.name}: {error}") from error

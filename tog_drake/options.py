@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL, anthropic:MODEL or replay:FILE"
-MODEL_HELP = "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL."
+MODEL_FORMS = "openai:MODEL@URL, gemini:MODEL or anthropic:MODEL"
+MODEL_HELP = (
+    "The model to ask: openai:MODEL@URL | gemini:MODEL | anthropic:MODEL. Its key: OPENAI_API_KEY, "
+    "GEMINI_API_KEY, ANTHROPIC_API_KEY; elsewhere than there or on this machine, VLM_API_KEY."
+)
 _REPLAY = "replay:"
 
 ScenarioOption = Annotated[
@@ -46,7 +49,11 @@ SelectorOption = Annotated[
     str | None, typer.Option(help="geometric | top-score | random | oracle | vlm")
 ]
 StrategyOption = Annotated[
-    str | None, typer.Option(help="How a model is asked: gsi|cpsi|gmi|cpmi|cpg|pivot|avoid.")
+    str | None,
+    typer.Option(
+        help="How a model is asked: gsi (default) | cpsi | gmi | cpmi | cpg | pivot | avoid;"
+        " `tog prompts` explains them."
+    ),
 ]
 ModelOption = Annotated[
     str | None,
@@ -62,13 +69,21 @@ VotesOption = Annotated[
     int | None, typer.Option(min=1, max=2, help="2: asked again with the marks permuted.")
 ]
 FallbackOption = Annotated[
-    str | None, typer.Option(help="Who chooses where the answer is no use: geometric | fail.")
+    str | None,
+    typer.Option(
+        help="Who chooses where the answer is no use: geometric | fail."
+        " By default: run, choose: geometric; eval: fail."
+    ),
+]
+DeadlineOption = Annotated[
+    float | None, typer.Option(help="[s] for all questions to a model; by default 120.")
 ]
 RecordOption = Annotated[
     Path | None, typer.Option(help="File that keeps questions and answers; none is asked twice.")
 ]
 ReplayOption = Annotated[
-    Path | None, typer.Option(help="Such a file to take all answers from; nothing is sent.")
+    Path | None,
+    typer.Option(help="Such a file to take all answers from, and the model; nothing is sent."),
 ]
 
 
@@ -85,23 +100,28 @@ class SelectorOptions:
     fallback: str | None = None
     record: Path | None = None
     replay: Path | None = None
-    export: Path | None = None  # a cassette: what it has no answer to is to be asked elsewhere
+    deadline: float | None = None  # [s]
 
-    def apply(self, config: "PipelineConfig", *, fallback: str | None = None) -> None:
+    def apply(
+        self, config: "PipelineConfig", *, fallback: str | None = None, asks: bool = True
+    ) -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
 
         Args:
             config: of the pipeline, changed in place.
             fallback: what holds where neither options nor scenario say who chooses.
+            asks: whether the pipeline is to run, so that the key of a model must be there.
 
         Raises:
             InputError: an unknown name, options that do not go together, a cassette that cannot be
-                read or written, or no model to ask.
+                read or written, no model to ask, or no key for it.
         """
         from tog_drake.pipeline import SELECTORS
         from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 
-        selector = "vlm" if self.selector is None and self.vlm is not None else self.selector
+        selector = self.selector
+        if selector is None and (self.vlm is not None or self.replay is not None):
+            selector = "vlm"  # to name a model, or a cassette that names one, is to choose by it
         if selector is not None:
             kind = valid(selector, SELECTORS, "selector")
             if not isinstance(config.selector, kind):
@@ -109,21 +129,23 @@ class SelectorOptions:
         if isinstance(config.selector, Vlm):
             self._apply_to(config.selector)
             config.selector.fallback = config.selector.fallback or fallback
-            VlmSelector(config.selector, config.workspace, seed=0)  # to hear now what is wrong
-        elif given := self._given():
+            wanted = VlmSelector(config.selector, config.workspace, seed=0)  # hears what is wrong
+            if asks:
+                wanted.check_key()
+        elif given := self.given():
             chooses = type(config.selector).__name__
             raise InputError(
                 f"{', '.join(given)}: only a model is asked so, and {chooses} is to choose here; "
-                f"valid: with --vlm {MODEL_FORMS}"
+                f"valid: with --vlm {MODEL_FORMS}, or replay:FILE"
             )
 
-    def _given(self) -> list[str]:
+    def given(self) -> list[str]:
         """The options for a model that were given, as they are typed."""
         names = [f.name for f in fields(self) if f.name != "selector"]
         return [f"--{name}" for name in names if getattr(self, name) is not None]
 
     def _apply_to(self, config: "Vlm") -> None:
-        for name in ("strategy", "rendering", "votes", "fallback"):
+        for name in ("strategy", "rendering", "votes", "fallback", "deadline"):
             if getattr(self, name) is not None:
                 setattr(config, name, getattr(self, name))
         replay = self._apply_model(config)
@@ -137,8 +159,6 @@ class SelectorOptions:
         if self.record is not None:
             check_file(self.record, "--record")
             config.record, config.replay = str(self.record), None
-        if self.export is not None:
-            config.export, config.record, config.replay = str(self.export), None, None
 
     def _apply_model(self, config: "Vlm") -> Path | None:
         """Puts in place who is asked; returns the cassette to replay, if one is named."""
@@ -148,7 +168,6 @@ class SelectorOptions:
             if self.replay is not None or self.profile is not None:
                 other = "--replay" if self.replay is not None else "--profile"
                 raise InputError(f"{other} with --vlm {self.vlm}: the cassette says it; valid: one")
-            config.model = None
             return Path(self.vlm.removeprefix(_REPLAY))
         if self.vlm is not None:
             config.model = read_specification(self.vlm, self.profile)

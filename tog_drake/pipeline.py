@@ -2,13 +2,14 @@
 
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
 from tog_drake.camera import Camera
-from tog_drake.candidates import CandidatePicker, CandidatesConfig
+from tog_drake.candidates import CandidatePicker, CandidatesConfig, candidate_counts
 from tog_drake.cloud import CloudConfig, SceneCloud
 from tog_drake.compliance import PartLabels
 from tog_drake.errors import EpisodeError, InputError
@@ -22,6 +23,7 @@ from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.oracle import Oracle, OracleSelector
+from tog_drake.selectors.strategies import CROWDED, check_count
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer
 from tog_drake.values import (
@@ -208,8 +210,13 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
     return AntipodalProposer(config.proposer, config.workspace, seed)
 
 
-def make_selector(config: PipelineConfig, seed: int) -> Selector:
+def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:
     """Returns the selector that the scenario asks for.
+
+    Args:
+        config: of the pipeline.
+        seed: of everything random in the selector.
+        export: for a model: the cassette of questions to be asked elsewhere, see ``VlmSelector``.
 
     Raises:
         InputError: if a setting of it is out of bounds, or it is the oracle, which is no Selector:
@@ -223,7 +230,10 @@ def make_selector(config: PipelineConfig, seed: int) -> Selector:
         case Random():
             return RandomSelector(seed=seed)
         case Vlm():
-            return VlmSelector(config.selector, config.workspace, seed=seed)
+            k, _ = candidate_counts(config.candidates)
+            if k is not None and config.selector.strategy in CROWDED:
+                check_count(k)
+            return VlmSelector(config.selector, config.workspace, seed=seed, export=export)
         case Oracle():
             raise InputError(
                 "selector oracle reads simulated part labels, and there are none here; "

@@ -189,8 +189,8 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
         part=choice.part,
         reason=choice.reason,
         status=choice.status,
-        pixel=None if choice.pixel is None else [round(c, 2) for c in choice.pixel],
-        pointed={role: [round(c, 2) for c in pixel] for role, pixel in choice.pointed.items()},
+        pixel=None if choice.pixel is None else list(choice.pixel),
+        pointed={role: list(pixel) for role, pixel in choice.pointed.items()},
         score=float(choice.grasp.score[0]),
         width=float(choice.grasp.width[0]),
     )
@@ -234,20 +234,32 @@ def stage_rows(record: EpisodeRecord) -> list[tuple[str, str, float]]:
 
 
 def usage(
-    seconds: float, tokens: Sequence[Mapping[str, int] | None], costs: Sequence[float | None]
+    seconds: float,
+    tokens: Sequence[Mapping[str, int] | None],
+    costs: Sequence[float | None],
+    replayed: Sequence[str | None] = (),
 ) -> str:
     """Returns what questions to a model took, such as "0.8 s, 1,234 tokens, $0.0012".
+
+    Of what is ``replayed`` from a cassette it says so, and that this is what it took back then.
 
     Tokens are those read and written, reasoning with the latter; what is unknown of one question
     is unknown of all.
     """
-    said = [f"{seconds:.1f} s"]
+    cassettes = sorted({cassette for cassette in replayed if cassette is not None})
+    said = [f"{seconds:.1f} s"] if seconds or not cassettes else []
     known = [t["input"] + t["output"] for t in tokens if t and {"input", "output"} <= t.keys()]
     if len(known) == len(tokens):
         said.append(f"{sum(known):,} tokens")
     priced = [cost for cost in costs if cost is not None]
     said.append(f"${sum(priced):.4f}" if len(priced) == len(costs) else "price unknown")
-    return ", ".join(said)
+    took = ", ".join(said)
+    if not cassettes:
+        return took
+    back_then = f"; when asked {took}" if seconds or known else ""  # of a failure nothing is known
+    n = sum(cassette is not None for cassette in replayed)
+    some = f"{n} of {len(replayed)} " if n < len(replayed) else ""
+    return f"{some}replayed from {', '.join(cassettes)}{back_then}"
 
 
 def save_record(path: Path, record: EpisodeRecord) -> None:

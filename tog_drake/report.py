@@ -54,6 +54,7 @@ class EpisodeReport:
     motion: GraspMotion | None = None  # as planned
     replay: str | None = None  # see visualization.replay_html
     exchanges: Sequence[Exchange] = ()  # what a model was asked, and what it said
+    exchanges_before: Sequence[Exchange] = ()  # likewise, at looks whose grasp failed
 
 
 def write_report(
@@ -101,7 +102,12 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
         "depth": None if view is None else _data_url(depth_image(view.depth)),
         "depth_range": None if view is None else depth_range(view.depth),
         "decision": None if episode.decision is None else _data_url(episode.decision),
-        "asked": _asked(record.get("vlm", {}), episode.exchanges, record["choice"].get("index")),
+        "asked": _asked(
+            record.get("vlm", {}),
+            episode.exchanges_before,
+            episode.exchanges,
+            record["choice"].get("index"),
+        ),
         "stages": _timings(record["seconds"]),
         "motion": None if episode.motion is None else _plot(episode.motion),
         "replay": None if episode.replay is None else _pack(episode.replay),
@@ -123,9 +129,20 @@ def _shown(value: Any) -> Any:
 
 
 def _asked(
-    vlm: Mapping[str, Any], exchanges: Sequence[Exchange], chosen: int | None
+    vlm: Mapping[str, Any],
+    before: Sequence[Exchange],
+    last: Sequence[Exchange],
+    chosen: int | None,
 ) -> dict[str, Any] | None:
-    """Returns what the template shows of the questions to a model; None where there were none."""
+    """Returns what the template shows of the questions to a model; None where there were none.
+
+    Args:
+        vlm: of the record.
+        before: the questions at looks whose grasp failed.
+        last: those at the last look.
+        chosen: the grasp that was chosen at the last look.
+    """
+    exchanges = [*before, *last]
     if not exchanges:
         return None
     fallback = vlm.get("fallback")
@@ -143,10 +160,12 @@ def _asked(
                 sum(exchange.seconds for exchange in exchanges),
                 [exchange.tokens for exchange in exchanges],
                 [exchange.cost for exchange in exchanges],
+                [_cassette(exchange) for exchange in exchanges],
             ),
         },
         "questions": [
-            _question(number, exchange, first, chosen)
+            _question(number, exchange, first, None if number <= len(before) else chosen)
+            | {"before": number <= len(before)}
             for number, exchange in enumerate(exchanges, 1)
         ],
     }
@@ -176,11 +195,17 @@ def _question(
             "Model that answered": (
                 "not said" if exchange.model is None else visible(exchange.model, limit=100)
             ),
-            "It took": usage(exchange.seconds, [exchange.tokens], [exchange.cost]),
+            "It took": usage(
+                exchange.seconds, [exchange.tokens], [exchange.cost], [_cassette(exchange)]
+            ),
             "Tokens": ", ".join(f"{n:,} {of}" for of, n in (exchange.tokens or {}).items()) or None,
             "Key": visible(exchange.key, limit=100),
         },
     }
+
+
+def _cassette(exchange: Exchange) -> str | None:
+    return None if exchange.replayed is None else visible(exchange.replayed, limit=LONGEST)
 
 
 def _image(

@@ -35,6 +35,7 @@ def report_of(episode: Episode) -> EpisodeReport:
         view=decision.view,
         decision=picture,
         exchanges=exchanges_of(decision),
+        exchanges_before=episode.exchanges_before,
         motion=decision.motion,
         replay=episode.replay,
     )

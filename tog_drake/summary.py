@@ -1,6 +1,7 @@
 """What many episodes say together: the table of successes, of failures, and how labels agree."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 from tog_drake.judge import COMPLIANT_SHARE
@@ -60,12 +61,32 @@ def _row(
         count = sum(map(bool, values))
         row[name] = count / len(values)
         row[f"{name}_low"], row[f"{name}_high"] = wilson(count, len(values))
-    failures: dict[str, int] = {}
-    for outcome in (r["outcome"] for r in runs if r["outcome"] != "lifted"):
-        failures[outcome] = failures.get(outcome, 0) + 1
     row["collisions"] = sum(bool(r["collisions"]) for r in runs)
-    row["failures"] = ", ".join(f"{n} {outcome}" for outcome, n in failures.items())
+    row["failures"] = _failures(runs)
     return row
+
+
+def _failures(records: Sequence[EpisodeRecord]) -> str:
+    """Returns such as "1 slipped, 6 no_choice (unreachable 5, refused 1), by fallback 2 (empty 2)".
+
+    In brackets is what became of the questions to a model. What the fallback chose is not the
+    model's merit, whatever came of it.
+    """
+    outcomes = Counter(r["outcome"] for r in records if r["outcome"] != "lifted")
+    said = [
+        f"{n} {outcome}" + _statuses([r for r in records if r["outcome"] == outcome == "no_choice"])
+        for outcome, n in outcomes.items()
+    ]
+    replaced = [r for r in records if r["vlm"] is not None and r["vlm"]["fallback"]]
+    if replaced:
+        said.append(f"by fallback {len(replaced)}" + _statuses(replaced))
+    return ", ".join(said)
+
+
+def _statuses(records: Sequence[EpisodeRecord]) -> str:
+    counts = Counter(r["vlm"]["status"] for r in records if r["vlm"] and r["vlm"]["status"])
+    told = ", ".join(f"{status} {n}" for status, n in counts.most_common())
+    return f" ({told})" if told else ""
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:

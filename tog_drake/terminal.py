@@ -4,6 +4,7 @@ import json
 import logging
 import sys
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from rich.console import Console
 from rich.table import Table
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tog_drake.record import EpisodeRecord
+    from tog_drake.selectors.vlm.specification import ModelConfig
 
 LONGEST = 100  # characters of what a model says that are shown on a line
 
@@ -40,6 +42,21 @@ def say(console: Console, text: str) -> None:
     Control characters, which a model or a file may have put into it, become visible.
     """
     console.print(visible(text), soft_wrap=True)
+
+
+def asking(model: "ModelConfig", deadline: float) -> str:
+    """Whom one waits for, and how long at most [s]."""
+    host = urlsplit(model.base_url).netloc
+    return visible(f"asking {model.model} at {host} (at most {deadline:g} s)")
+
+
+def deciding(selector: object) -> str:
+    """What there is to wait for while the selector of this config decides."""
+    from tog_drake.selectors.vlm.selector import Vlm
+
+    if isinstance(selector, Vlm) and selector.model is not None and selector.replay is None:
+        return asking(selector.model, selector.deadline)
+    return "deciding"
 
 
 def print_json(as_json: bool, content: Any) -> None:
@@ -89,9 +106,11 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
-        say(console, f"choice: {choice['part'] or '-'}. {choice['reason']}")
+        held_by = choice["part"] or f"grasp {choice['index']}"
+        say(console, f"choice: {held_by}. {choice['reason']}")
         if choice["status"] != "ok":
-            say(console, f"status: {choice['status']}")
+            who = "status" if record["vlm"] is None else "the model"
+            say(console, f"{who}: {choice['status']}")
     held = ", ".join(f"{part} {share:.0%}" for part, share in record["held"].items())
     say(
         console,
@@ -117,9 +136,11 @@ def print_answers(console: Console, record: "EpisodeRecord") -> None:
         said = "did not answer" if answer is None else f'answered "{_end(answer)}"'
         message = visible(exchange["message"], limit=2 * LONGEST)
         trouble = "" if status == "ok" else f" ({status}: {message})"
-        took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]])
+        from_file = exchange["replayed"]
+        took = usage(exchange["seconds"], [exchange["tokens"]], [exchange["cost"]], [from_file])
+        took = f"in {took}" if from_file is None else f"({took})"
         name = visible(exchange["model"] or vlm["model"], limit=LONGEST)
-        say(console, f"model: {name} {said}{trouble} in {took}")
+        say(console, f"model: {name} {said}{trouble} {took}")
     if vlm["fallback"]:
         say(console, f"fallback: {vlm['fallback']} chose, because the model's answer was no use")
 

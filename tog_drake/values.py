@@ -123,7 +123,7 @@ AnswerStatus = Literal[
     "ok",
     "refused",  # the model would not say
     "empty",  # it said nothing
-    "truncated",  # it ran out of tokens before it answered, or the connection was cut
+    "truncated",  # it ran out of tokens before it answered
     "too_long",  # more text than is read
     "unreadable",  # no answer is found in what it said
     "ambiguous",  # more than one is
@@ -132,7 +132,7 @@ AnswerStatus = Literal[
     "off_object",  # a point on nothing that could be grasped
     "disagreed",  # two permutations of the same candidates, two answers
     "timed_out",  # no answer within the deadline
-    "unreachable",  # no connection, or the server is out of order
+    "unreachable",  # no connection, one that was cut, or the server is out of order
     "rejected",  # the server does not take the question: key, model name, parameters
 ]
 """What became of a question to a model."""
@@ -154,11 +154,14 @@ class Exchange:
     status: AnswerStatus
     message: str  # what is wrong with the answer; "" where nothing is
     model: str | None  # as the server named it; it may differ from what was asked for
-    seconds: float  # latency, that of the recording where it was replayed
+    seconds: float  # latency; where it was replayed that of the recording, 0 where not known
     tokens: dict[str, int] | None  # input, output, reasoning, as far as the server says
     cost: float | None  # [USD]; None where the price is not known
     points: dict[str, tuple[float, float]] = field(default_factory=dict)
     """Where the answer points, whether or not that was of use: role -> (u, v) in the last image."""
+    replayed: str | None = field(default=None, compare=False)
+    """The cassette that had the answer; None: it was asked for now. Where an answer comes from is
+    no part of the decision: a replay equals what was recorded."""
 
 
 @dataclass(frozen=True)

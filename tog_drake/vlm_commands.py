@@ -1,6 +1,5 @@
 """The commands about vision-language models: ``tog prompts`` and ``tog vlm ...``."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +8,7 @@ import typer
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    MODEL_FORMS,
     MODEL_HELP,
     JsonOption,
     ModelOption,
@@ -24,11 +24,12 @@ from tog_drake.options import (
     names,
     valid,
 )
-from tog_drake.terminal import console_for, print_json, say
+from tog_drake.terminal import asking, console_for, print_json, say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from tog_drake.evaluation import Cell
     from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
@@ -44,9 +45,11 @@ _EXAMPLE = {  # what fills the places of a prompt when it is shown
     "rounds": 3,
     "problem": "the answer names none of the labels",
     "answer": "I would take the head.",
+    "question": "point",  # the last of the canary's
+    "color": "red",
 }
 _LABELS = {"marked": ("1", "2", "3"), "paper": ("red", "green", "blue")}
-_ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid")}  # of the points that these ask for
+_ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid"), "canary": ("disc",)}  # of their points
 _SEPARATE = ("gmi", "cpmi")  # an image each: there the labels are numbers in every rendering
 
 
@@ -68,9 +71,10 @@ def prompts(
 
     console = console_for(as_json)
     if name is None:
-        versions = {known: texts.load(known).version for known in texts.names()}
-        for version in versions.values():
-            say(console, version)
+        all_of_them = [texts.load(known) for known in texts.names()]
+        for prompt in all_of_them:
+            say(console, f"{prompt.version:<10} {prompt.about}".rstrip())
+        versions = dict(zip(texts.names(), (prompt.version for prompt in all_of_them), strict=True))
         print_json(as_json, versions)
         return
     prompt = texts.load(name)
@@ -102,10 +106,12 @@ def check(
     from tog_drake.selectors.vlm.specification import read_specification, specification
 
     console = console_for(as_json)
+    if vlm.startswith("replay:"):
+        raise InputError(f"--vlm {vlm}: a file is no model to be checked; valid: {MODEL_FORMS}")
     model = read_specification(vlm, profile)
     found = find_profile(model.model, model.profile)
     client = Client(model, profile=found.name)
-    with console.status("asking ..."):
+    with console.status(f"{asking(model, deadline)} ..."):
         report = check_model(
             client, found, max_tokens=model.max_tokens, seconds=deadline, seed=seed
         )
@@ -170,49 +176,50 @@ def export(
 
     Only what the cassette has no answer to. Nothing is sent, and no key is needed.
     """
-    from tog_drake.evaluation import Cell, make_cells, scenario_names
-    from tog_drake.scenario import load_scenario
-    from tog_drake.task import read_task
+    from tog_drake.evaluation import make_cells, scenario_names
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
     check_folder(out)
     check_file(cassette, "--cassette")
     if (task is None) == (scenarios is None):
-        raise InputError("what is to be asked? valid: --task for one scenario, or --scenarios")
+        both = "" if task is None else ", not both"
+        raise InputError(
+            f"what is to be asked? valid: --task for one scenario, or --scenarios{both}"
+        )
     if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
         raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
     if scenarios is None:
-        name, told = scenario or "Hammer", (task or "",)
-        read_task(told[0])
-        seed = load_scenario(name, scenario_text).random_seed if seed is None else seed
-        cells = [Cell(name, object_ or "", "vlm", seed, told, noise, scenario_text)]
+        cells = [_cell(task or "", scenario or "Hammer", object_, seed, noise, scenario_text)]
     else:
+        suite = scenario_names(names(scenarios))
         cells = make_cells(
-            scenario_names(names(scenarios)),
-            ["vlm"],
-            range(seeds),
-            tasks=names(tasks),
-            noise=noise,
-            text=scenario_text,
+            suite, ["vlm"], range(seeds), tasks=names(tasks), noise=noise, text=scenario_text
         )
-    options = SelectorOptions(
-        "vlm", strategy, vlm, profile, rendering, votes, fallback="fail", export=cassette
-    )
+    options = SelectorOptions("vlm", strategy, vlm, profile, rendering, votes, fallback="fail")
     exported = export_questions(
         cells, options, cassette=cassette, out=out, workers=workers, console=console
     )
     _say_exported(console, exported, cassette, out)
-    if not exported.questions and scenarios is None:
-        say(console, f"go on: tog run --vlm replay:{cassette}, with the same options")
-    elif not exported.questions:
-        settings = {"strategy": strategy, "rendering": rendering, "votes": votes}
-        given = {name: value for name, value in settings.items() if value is not None}
-        text = json.dumps({**given, "replay": str(cassette)})
-        say(console, "go on: tog eval with the same suite, --selectors vlm and --scenario-text")
-        say(console, f"'pipeline: {{selector: !Vlm {text}}}'")
+    if not exported.questions:
+        command = "run" if scenarios is None else "eval"
+        say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
+
+
+def _cell(
+    task: str, scenario: str, object_: str | None, seed: int | None, noise: bool, text: str | None
+) -> "Cell":
+    """Returns the one episode that is asked for; raises InputError where it makes no sense."""
+    from tog_drake.evaluation import Cell
+    from tog_drake.scenario import load_scenario
+    from tog_drake.task import read_task
+
+    read_task(task)
+    if seed is None:
+        seed = load_scenario(scenario, text).random_seed
+    return Cell(scenario, object_ or "", "vlm", seed, (task,), noise, text)
 
 
 def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:
@@ -238,6 +245,9 @@ def import_(
         Path, typer.Argument(help="Results of a batch, or answers.jsonl filled in by hand.")
     ],
     cassette: Annotated[Path, typer.Option(help="File with the questions, from tog vlm export.")],
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Correct answers that were given by hand before.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Enter answers from elsewhere, as many as there are. Exit 1: some were of no use."""
@@ -247,18 +257,21 @@ def import_(
     console = console_for(as_json)
     if not cassette.is_file():
         raise InputError(f"there is no cassette {cassette}; tog vlm export writes one")
-    imported = import_answers(Cassette(cassette, "export"), read_answers(answers))
+    imported = import_answers(
+        Cassette(cassette, "export"), read_answers(answers), replace_by_hand=replace
+    )
     for problem in imported.problems:
         say(console, f"not used: {problem}")
     say(
         console,
-        f"answers: {imported.added} added, {imported.known} known already, {imported.empty} left "
-        f"empty, {len(imported.problems)} not used",
+        f"answers: {imported.added} added, {imported.replaced} replaced, {imported.known} known "
+        f"already, {imported.empty} left empty, {len(imported.problems)} not used",
     )
     say(
         console,
         f"questions in {cassette}: {imported.answered} answered, {imported.pending} pending",
     )
-    say(console, "then: the same tog vlm export again, for what is pending and further questions")
+    if imported.added:
+        say(console, "then: the same tog vlm export again, for what is pending and more questions")
     print_json(as_json, vars(imported))
     raise typer.Exit(1 if imported.problems else 0)

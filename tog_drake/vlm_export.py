@@ -17,6 +17,10 @@ from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.evaluation import Cell, cell_scenario, in_processes
 from tog_drake.options import SelectorOptions
+from tog_drake.pipeline import make_selector
+from tog_drake.scenario import Scenario
+from tog_drake.selector import Selector
+from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.vlm.batch import Export, custom_id, how_to_send
 from tog_drake.selectors.vlm.batch_answers import read_answers
 from tog_drake.selectors.vlm.cassette import Cassette
@@ -33,6 +37,16 @@ class Exported:
     questions: int = 0  # that wait for an answer; two episodes may wait for the same
     files: list[Path] = field(default_factory=list)  # of the batch
     how: str = ""  # to send them
+
+    def count(self, looked: "_Looked", about: str) -> None:
+        """Adds an episode, ``about`` which this is."""
+        if looked.requests:
+            self.waiting += 1
+            self.how = how_to_send(looked.requests[-1])
+        elif looked.problem:
+            self.over.append(f"{about}: {looked.problem}")
+        else:
+            self.decided += 1
 
 
 @dataclass(frozen=True)
@@ -56,52 +70,58 @@ def export_questions(
 
     Args:
         cells: the episodes.
-        options: whom to ask, and how, with the same cassette as its ``export``.
+        options: whom to ask, and how.
         cassette: the file with the answers that there are.
         out: folder, see ``selectors.vlm.batch``.
         workers: processes.
         console: for the progress.
 
     Raises:
-        InputError: a cell or an option makes no sense, or ``out`` holds answers that were not
-            imported yet.
+        InputError: a cell or an option makes no sense, or ``out`` holds answers not yet imported.
     """
-    options.apply(cell_scenario(cells[0]).pipeline)  # to hear now what is wrong
     tape = Cassette(cassette, "export")
+    _selector(cell_scenario(cells[0]), options, cassette)  # to hear now what is wrong
     _check_imported(out / "answers.jsonl", tape)
     export, exported = Export(out), Exported()
     with Progress(console=console) as progress:
         bar = progress.add_task("episodes", total=len(cells))
-        work = partial(_look_at, options=options)
+        work = partial(_look_at, options=options, cassette=cassette)
         looked_at = in_processes(work, cells, workers) if len(cells) > 1 else map(work, cells)
         for cell, looked in zip(cells, looked_at, strict=True):
             about = f"{cell.scenario}, seed {cell.seed}: {cell.tasks[0]}"
             for request in looked.requests:
                 tape.add_pending(request)
                 export.add(request, about)
-                exported.how = how_to_send(request)
-            if looked.requests:
-                exported.waiting += 1
-            elif looked.problem:
-                exported.over.append(f"{about}: {looked.problem}")
-            else:
-                exported.decided += 1
+            exported.count(looked, about)
             progress.advance(bar)
     export.finish()
     exported.questions, exported.files = len(export), export.files
     return exported
 
 
-def _look_at(cell: Cell, options: SelectorOptions) -> _Looked:
+def _selector(scenario: Scenario, options: SelectorOptions, cassette: Path) -> Selector:
+    """Returns what the scenario is to be decided by, and takes it out of its pipeline: only here
+    can it be asked for questions that wait."""
+    config = scenario.pipeline
+    options.apply(config, asks=False)
+    selector = make_selector(config, scenario.random_seed, export=cassette)
+    config.selector = Geometric()  # is not asked
+    return selector
+
+
+def _look_at(cell: Cell, options: SelectorOptions, cassette: Path) -> _Looked:
     """Runs an episode as far as its choice."""
     scenario = cell_scenario(cell)
-    options.apply(scenario.pipeline)
     try:
+        selector = _selector(scenario, options, cassette)
         world = build_world(scenario, target=cell.object or None, task=cell.tasks[0])
         simulator = look(world, scenario, cell.tasks[0])
-        pipeline = world.pipeline
-        context = pipeline.GetMyContextFromRoot(simulator.get_context())
-        pipeline.GetOutputPort("choice").Eval(context)
+        context = world.pipeline.GetMyContextFromRoot(simulator.get_context())
+        view, cloud, candidates = (
+            world.pipeline.GetOutputPort(port).Eval(context)
+            for port in ("view", "cloud", "candidates")
+        )
+        selector.select(view, cloud, candidates, cell.tasks[0])
     except QuestionPending as pending:
         return _Looked(requests=pending.requests)
     except EpisodeError as error:

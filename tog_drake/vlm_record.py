@@ -18,13 +18,15 @@ class ExchangeRecord(TypedDict):
     text: str  # with "[image 1]" and so on for the images
     marks: dict[str, int]  # label -> row among the feasible grasps
     key: str  # of the question on a cassette
+    points: dict[str, list[float]]  # role -> [u, v] in the last image, wherever the answer points
     answer: str | None  # verbatim, cut after MAX_ANSWER characters; null: none came
     status: str
     message: str  # what is wrong with the answer
     model: str | None  # as the server named it
-    seconds: float  # latency; of a replay, that of the recording
+    seconds: float  # latency; of a replay, that of the recording; 0: not known
     tokens: dict[str, int] | None
     cost: float | None  # [USD]; null: the price is not known
+    replayed: str | None  # the cassette that had the answer; null: it was asked for now
 
 
 class VlmRecord(TypedDict):
@@ -54,6 +56,7 @@ def exchange_records(decision: Decision) -> list[ExchangeRecord]:
             text=exchange.text,
             marks=dict(exchange.marks),
             key=exchange.key,
+            points={role: list(point) for role, point in exchange.points.items()},
             answer=None if exchange.answer is None else exchange.answer[:MAX_ANSWER],
             status=exchange.status,
             message=exchange.message,
@@ -61,6 +64,7 @@ def exchange_records(decision: Decision) -> list[ExchangeRecord]:
             seconds=round(exchange.seconds, 3),
             tokens=None if exchange.tokens is None else dict(exchange.tokens),
             cost=exchange.cost,
+            replayed=exchange.replayed,
         )
         for exchange in exchanges_of(decision)
     ]

@@ -47,41 +47,29 @@ def place_discs(
 
     Args:
         size: width and height of the picture [pixel].
-        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred. NaN and
-            what lies out of the picture does not count.
-        lines: (M, 2, 2) [pixel] what must be seen.
+        anchors: (N, A, 2) [pixel] points that each disc may name, the first preferred; see
+            ``_within`` for those that are NaN or out of the picture.
+        lines: (M, 2, 2) [pixel] what must be seen, ``thickness`` [pixel] wide.
         stems: (N, 2, 2) [pixel] lines that only the disc of the same row may hide, if any.
         things: (P, 2) [pixel] points that should be seen.
-        thickness: of the lines [pixel].
 
     Raises:
         InputError: there is no room for so many discs.
     """
-    cells = np.stack(np.meshgrid(*(np.arange(side // STEP) for side in size)), axis=-1)
-    cells = cells.reshape(-1, 2)
-    inside = np.all((cells * STEP >= RADIUS) & (cells * STEP < np.array(size) - RADIUS), axis=1)
-    cells = cells[inside]
+    cells = _cells(size)
     places = (STEP * cells).astype(np.float64)
     seen = _drawn(size, lines, thickness)
     on_things = _ON_THINGS * _share(_drawn(size, _dots(things), _THING_SIZE), cells)
-    stems = np.zeros((len(anchors), 2, 2)) * np.nan if stems is None else stems
+    stems = np.zeros((0, 2, 2)) if stems is None else stems
     free = np.ones(len(places), dtype=bool)
-    centers, targets = np.zeros((len(anchors), 2)), np.zeros((len(anchors), 2))
+    centers, targets = np.zeros((2, len(anchors), 2))
     for i, anchor in enumerate(anchors):
         if not free.any():
-            raise InputError(
-                f"{len(anchors)} marks do not fit into a picture of {size[0]}x{size[1]} pixels; "
-                f"{i} do: ask for fewer candidates (k)"
-            )
-        others = _drawn(size, np.delete(stems, i, axis=0), thickness)
+            raise _no_room(len(anchors), size, i)
+        others = _drawn(size, stems[np.arange(len(stems)) != i], thickness)
         distance, named = _nearest(places, _within(anchor, size))
-        cost = distance + on_things + _ON_STEMS * _share(others, cells)
-        cost += _ON_LINE * (_clearance(seen, cells) < RADIUS + GAP)
-        cost[~free] = np.inf
-        tried = np.argsort(cost, kind="stable")[:_TRIED]
-        crossed = _ON_LINE * _crossed(seen, places[tried], named[tried])
-        crossed += _ON_STEMS * _crossed(others, places[tried], named[tried])
-        best = tried[np.argmin(cost[tried] + crossed)]
+        cost = np.where(free, distance + on_things, np.inf)
+        best = _cheapest(cost, cells, places, named, seen=seen, others=others)
         centers[i], targets[i] = places[best], named[best]
         free &= np.hypot(*(places - centers[i]).T) >= 2 * RADIUS + GAP
         seen |= _drawn(size, np.stack([centers[i], targets[i]])[None], 1.0)
@@ -89,18 +77,59 @@ def place_discs(
     return centers, targets
 
 
+def _no_room(count: int, size: tuple[int, int], most: int) -> InputError:
+    return InputError(
+        f"{count} marks do not fit into a picture of {size[0]}x{size[1]} pixels; {most} do: ask "
+        "for fewer candidates (k)"
+    )
+
+
+def _cells(size: tuple[int, int]) -> NDArray[np.int64]:
+    """The cells (C, 2) of the grid where a disc has room."""
+    cells = np.stack(np.meshgrid(*(np.arange(side // STEP) for side in size)), axis=-1)
+    cells = cells.reshape(-1, 2)
+    inside = np.all((cells * STEP >= RADIUS) & (cells * STEP < np.array(size) - RADIUS), axis=1)
+    return np.asarray(cells[inside])
+
+
+def _cheapest(
+    cost: Array,
+    cells: NDArray[np.int64],
+    places: Array,
+    named: Array,
+    *,
+    seen: Mask,
+    others: Mask,
+) -> int:
+    """The best place, by what it costs (C,) and by what disc and leader would hide there."""
+    cost = cost + _ON_STEMS * _share(others, cells)
+    cost += _ON_LINE * (_clearance(seen, cells) < RADIUS + GAP)
+    tried = np.argsort(cost, kind="stable")[:_TRIED]
+    crossed = _ON_LINE * _crossed(seen, places[tried], named[tried])
+    crossed += _ON_STEMS * _crossed(others, places[tried], named[tried])
+    return int(tried[np.argmin(cost[tried] + crossed)])
+
+
 def _within(anchor: Array, size: tuple[int, int]) -> Array:
-    """The points of ``anchor`` (A, 2) in the picture; if none is, where it is nearest to them."""
+    """Returns which points of ``anchor`` (A, 2) a disc may name: those in the picture.
+
+    If none is, the point of the picture's edge that is nearest to any of them. If all are NaN,
+    none: the disc then names its own place, and its leader has no length.
+    """
     edge = np.array(size) - 1.0
     inside = np.all((anchor >= 0) & (anchor <= edge), axis=1)  # False where NaN
     if inside.any():
         return anchor[inside]
     known = anchor[np.isfinite(anchor).all(axis=1)]
-    return np.clip(known, 0.0, edge) if len(known) else edge[None] / 2
+    at_edge = np.clip(known, 0.0, edge)
+    off = np.linalg.norm(known - at_edge, axis=1)
+    return np.asarray(at_edge[off == off.min(initial=np.inf)][:1])
 
 
 def _nearest(places: Array, anchor: Array) -> tuple[Array, Array]:
     """How far each place (C, 2) is from the anchor's nearest point, (C,), and that point (C, 2)."""
+    if len(anchor) == 0:
+        return np.zeros(len(places)), places
     later = _LATER * np.arange(len(anchor)) / max(1, len(anchor) - 1)
     u, v = np.ascontiguousarray(places.T)
     distance = np.hypot(u - anchor[:, :1], v - anchor[:, 1:]) + later[:, None]  # (A, C)

@@ -91,45 +91,54 @@ def whole_image(view: View) -> Framing:
 def frame_things(view: View, p_W: Array, grasps: Grasps) -> Framing:
     """Frames the things and the hands that would grasp them: what ``marked`` shows.
 
-    Stems may be cut off, and what lies beside the image does not count. The canvas is the one that
-    the rest fills best.
+    Stems may be cut off. Hands may reach beyond the view, by half of it at most: a U that is cut
+    open tells nothing. The canvas is the one that the rest fills best.
 
     Args:
         p_W: (N, 3) [m] the cloud.
         grasps: whatever may be drawn.
     """
+    size = np.array([view.intrinsics.width, view.intrinsics.height])
     things = project(p_W, view.intrinsics, view.X_WC)
     fingers_and_palm = hand_wireframe(grasps)[:, :3].reshape(-1, 2, 3)
     hands = project_segments(fingers_and_palm, view).reshape(-1, 2)
     contacts = project(grasps.p_WContact, view.intrinsics, view.X_WC)
-    size = np.array([view.intrinsics.width, view.intrinsics.height])
-    shown = np.clip(np.vstack([things, hands, contacts]), -0.5, size - 0.5)
+    hands = np.clip(np.vstack([hands, contacts]), -size / 2, 1.5 * size)
+    shown = np.vstack([np.clip(things, -0.5, size - 0.5), hands])
     shown = shown[np.isfinite(shown).all(axis=1)]
     if len(shown) == 0:
         shown = np.array([[-0.5, -0.5], size - 0.5])
     lower, upper = shown.min(axis=0), shown.max(axis=0)
-    extent = (1 + 2 * PADDING) * (upper - lower)
-    upright = bool(size[1] > size[0])
-
-    def per_tile(canvas: tuple[int, int]) -> int:
-        """How many pixels of the view a tile must show."""
-        return max(MIN_CROP, int(np.ceil(np.max(extent / canvas))))
-
-    def emptiness(canvas: tuple[int, int]) -> tuple[float, bool]:
-        """How much of the view it would show, and then whether it is turned."""
-        return per_tile(canvas) ** 2 * canvas[0] * canvas[1], (canvas[1] > canvas[0]) != upright
-
-    canvas = min(CANVASES, key=emptiness)
-    crop = per_tile(canvas) * np.array(canvas)
-    # Centred on the things, but moved into the image where it can be.
-    corner = np.rint((lower + upper + 1 - crop) / 2).astype(int)
-    corner = np.where(crop < size, np.clip(corner, 0, size - crop), (size - crop) // 2)
+    padding = PADDING * (upper - lower)
+    canvas, per_tile = _canvas(upper - lower + 2 * padding, upright=bool(size[1] > size[0]))
+    crop = per_tile * np.array(canvas)
+    # Centred on all that, but moved into the view as far as it can be without cutting a hand.
+    centred = np.rint((lower + upper + 1 - crop) / 2).astype(int)
+    corner = np.where(crop < size, np.clip(centred, 0, size - crop), (size - crop) // 2)
+    first = np.where(lower < -0.5, lower - padding, lower)
+    last = np.where(upper > size - 0.5, upper + padding, upper)
+    corner = np.clip(corner, np.ceil(last + 0.5 - crop), np.floor(first + 0.5)).astype(int)
     return Framing(
         corner=(int(corner[0]), int(corner[1])),
         crop=(int(crop[0]), int(crop[1])),
         size=(TILE * canvas[0], TILE * canvas[1]),
         things=things[np.isfinite(things).all(axis=1)],
     )
+
+
+def _canvas(extent: Array, *, upright: bool) -> tuple[tuple[int, int], int]:
+    """Returns the canvas that (2,) [pixel] of the view fill best, and how many of them a tile of it
+    must show."""
+
+    def per_tile(canvas: tuple[int, int]) -> int:
+        return max(MIN_CROP, int(np.ceil(np.max(extent / canvas))))
+
+    def emptiness(canvas: tuple[int, int]) -> tuple[float, bool]:
+        """How much of the view it would show, and then whether it is turned."""
+        return per_tile(canvas) ** 2 * canvas[0] * canvas[1], (canvas[1] > canvas[0]) != upright
+
+    best = min(CANVASES, key=emptiness)
+    return best, per_tile(best)
 
 
 def plain(view: View, framing: Framing) -> Image:
@@ -222,8 +231,10 @@ def draw_contacts(
 def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:
     """Returns the points of each hand that its disc may name, (N, A, 2), the best first.
 
-    They lie on the stem, from its end on, and then on the palm. Those nearer than ``apart`` [pixel]
-    to another hand are NaN if there are others in the picture: a leader there could mean either.
+    They lie on the stem, from its end on, and then on the palm; on the fingers only where neither
+    is in the picture. Those nearer than ``apart`` [pixel] to another hand are NaN if there are
+    others in the picture: a leader there could mean either. Of a hand wholly out of the picture
+    all points are returned.
     """
     points = np.concatenate(
         [
@@ -231,10 +242,13 @@ def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:
             for segment, share in (
                 (3, np.linspace(1.0, 0.1, 8)),
                 (1, np.array([0.25, 0.75, 0.1, 0.9])),
+                (0, np.linspace(0.0, 1.0, 8)),
+                (2, np.linspace(0.0, 1.0, 8)),
             )
         ],
         axis=1,
     )
+    on_finger = np.arange(points.shape[1]) >= 12
     start, way = hands[:, :, 0], hands[:, :, 1] - hands[:, :, 0]  # (N, 4, 2)
     to_point = points[:, :, None, None] - start  # (N, A, N, 4, 2)
     length = np.maximum(np.sum(way**2, axis=-1), 1e-9)
@@ -243,7 +257,10 @@ def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:
     near_another = ((distance < apart) & ~np.eye(len(hands), dtype=bool)[:, None]).any(axis=2)
     inside = np.all((points >= 0) & (points <= np.array(size) - 1), axis=2)
     clear = inside & ~near_another
-    points[~np.where(clear.any(axis=1, keepdims=True), clear, inside)] = np.nan
+    kept = np.ones_like(inside)
+    for better in (inside, clear, inside & ~on_finger, clear & ~on_finger):
+        kept = np.where(better.any(axis=1, keepdims=True), better, kept)
+    points[~kept] = np.nan
     return points
 
 

@@ -10,7 +10,7 @@ from tog_drake.pinhole import project
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import plain
 from tog_drake.selectors.scene import Ask, Pick, Scene
-from tog_drake.selectors.vlm.question import Points, Question, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Points, Question, Unanswered
 from tog_drake.values import Array, Grasps
 
 MAX_MISS = 15.0
@@ -20,23 +20,24 @@ MAX_REACH = 0.06
 """[m] A grasp whose contact is farther from the place pointed at does not hold that place. From
 the middle of what is seen of a part the nearest contact on it is 9 mm away in the median, 26 mm in
 95 of 100 cases, and 44 mm with the body of a mug, which is held by its rim (20 objects, 2 poses,
-parts to use and to hand over by). The paper has no such limit, nor has its rendering."""
-KEEP_OFF = 0.03  # [m] contacts nearer than this to the place to avoid are dropped
+parts to use and to hand over by). The paper has no such limit, nor has its rule, ``contact``."""
+KEEP_OFF = 0.03  # [m] a grasp with a contact nearer than this to the place to avoid is dropped
 
 
 def cpg(scene: Scene, ask: Ask) -> Pick:
-    """Contact point guided: the feasible grasp whose contact is nearest to where it points."""
+    """Contact point guided: of all feasible grasps the nearest to where it points wins."""
     pixels, (grasp,) = _seen_points(scene, ask, "cpg", ("grasp",))
     pick = _nearest(scene, grasp, np.ones(len(scene.candidates.grasps), bool))
     return replace(pick, pointed=pixels)
 
 
 def avoid(scene: Scene, ask: Ask) -> Pick:
-    """As cpg, without the grasps that are nearer to the place to avoid, or close to it."""
+    """As cpg, without the grasps with a finger close to the place to avoid, or nearer to it than
+    to the place to hold."""
     pixels, (grasp, avoided) = _seen_points(scene, ask, "avoid", ("grasp", "avoid"))
-    contacts = scene.candidates.grasps.p_WContact
-    away = np.linalg.norm(contacts - avoided, axis=1)
-    allowed = (away > KEEP_OFF) & (away > np.linalg.norm(contacts - grasp, axis=1))
+    grasps = scene.candidates.grasps
+    away = _distances(grasps, avoided).min(axis=1)
+    allowed = (away > KEEP_OFF) & (away > _distances(grasps, grasp).min(axis=1))
     pick = _nearest(scene, grasp, allowed)
     reason = f"{pick.reason} {(~allowed).sum()} grasps at the place to avoid are left out."
     return replace(pick, reason=reason, pointed=pixels)
@@ -49,17 +50,23 @@ def _seen_points(
     the points in W that are seen there."""
     framing = scene.framing(Grasps.empty())  # the things alone: nothing is marked
     prompt = prompts.load(name)
+
+    def seen(answer: Answer) -> dict[str, tuple[Array, Array]]:
+        assert isinstance(answer, dict)
+        pixels = {role: framing.to_view(answer[role]) for role in roles}
+        return {role: (pixel, _seen_point(scene, pixel, role)) for role, pixel in pixels.items()}
+
     answer = ask(
         Question(
             prompt=prompt.version,
             parts=(plain(scene.view, framing), prompt.render(task=scene.task)),
             expects=Points(roles, framing.size),
+            check=seen,
         )
     )
-    assert isinstance(answer, dict)
-    pixels = {role: framing.to_view(answer[role]) for role in roles}
-    points = [_seen_point(scene, pixel, role) for role, pixel in pixels.items()]
-    return {role: (float(u), float(v)) for role, (u, v) in pixels.items()}, points
+    places = seen(answer)
+    pixels = {role: (float(u), float(v)) for role, ((u, v), _) in places.items()}
+    return pixels, [point for _, point in places.values()]
 
 
 def _seen_point(scene: Scene, pixel: Array, role: str) -> Array:
@@ -91,25 +98,32 @@ def _nearest(scene: Scene, point: Array, allowed: NDArray[np.bool_]) -> Pick:
     """Returns the allowed grasp that is nearest to a point, (3,) in W.
 
     In the paper that is the one with the nearest contact, and its other finger may be on another
-    part. Here the farther of its two contacts counts: of all places seen on 14 parts of seven
+    part. By default the farther of its two contacts counts: of all places seen on 14 parts of seven
     objects 92 % then lead to a grasp of that part alone, instead of 85 % (a hammer's head: 95 %
     instead of 65 %, a mug's handle: 90 % instead of 53 %).
     """
-    grasps = scene.candidates.grasps
-    distance = np.linalg.norm(grasps.p_WContact - point, axis=1)
-    as_published = scene.rendering == "paper"
-    fits = allowed & (distance <= (np.inf if as_published else MAX_REACH))
+    distances = _distances(scene.candidates.grasps, point)
+    contact = distances[:, 0]
+    both = scene.nearest == "both"
+    fits = allowed & (contact <= MAX_REACH) if both else allowed
     if not fits.any():
-        raise NoChoice(_why_none(distance, allowed), status="no_grasp_on_part")
-    to_other = np.linalg.norm(_other_contacts(grasps) - point, axis=1)
-    worth = -distance if as_published else -np.maximum(distance, to_other)
-    worth = np.where(fits, worth, -np.inf)
+        raise NoChoice(_why_none(contact, allowed), status="no_grasp_on_part")
+    counts = distances.max(axis=1) if both else contact
+    worth = np.where(fits, -counts, -np.inf)
     index = int(np.argmax(worth))
+    which = "the farther of its two contacts" if both else "its contact"
+    among = f"{fits.sum()} grasps " + ("there" if both else "allowed")
     reason = (
-        f"The grasp nearest to where the model points, its contact {1e3 * distance[index]:.0f} mm "
-        f"away, of {fits.sum()} grasps there."
+        f"Of {among} it is nearest to where the model points: {which} is "
+        f"{1e3 * counts[index]:.0f} mm away."
     )
     return Pick(index, reason, worth)
+
+
+def _distances(grasps: Grasps, point: Array) -> Array:
+    """Returns how far both contacts are from a point: (N, 2) [m], that at ``p_WContact`` first."""
+    contacts = np.stack([grasps.p_WContact, _other_contacts(grasps)], axis=1)
+    return np.asarray(np.linalg.norm(contacts - point, axis=2))
 
 
 def _other_contacts(grasps: Grasps) -> Array:
@@ -122,8 +136,8 @@ def _other_contacts(grasps: Grasps) -> Array:
 def _why_none(distance: Array, allowed: NDArray[np.bool_]) -> str:
     if not allowed.any():
         return (
-            f"All {len(allowed)} feasible grasps are nearer to the place to avoid than to the "
-            f"place to hold, or within {100 * KEEP_OFF:.0f} cm of it."
+            f"All {len(allowed)} feasible grasps have a finger nearer to the place to avoid than "
+            f"to the place to hold, or within {100 * KEEP_OFF:.0f} cm of it."
         )
     dropped = f" {(~allowed).sum()} others are at the place to avoid." if not allowed.all() else ""
     return (

@@ -2,10 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 from tog_drake.selectors.marks import Framing, Rendering, frame_things, whole_image
 from tog_drake.selectors.vlm.question import Answer, Question
 from tog_drake.values import Array, Candidates, Grasps, View
+
+Nearest = Literal["contact", "both"]
+"""Which contact of a grasp counts where a model points: the one at ``Grasps.p_WContact`` as in the
+paper, or the farther of the two, so that neither finger is on another part."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +23,9 @@ class Scene:
     task: str
     rendering: Rendering
     seed: int  # of the order and the colours of the marks
-    permutation: int = 0  # 0 or 1: with 1 every mark has another number and colour than with 0
+    permutation: int = 0
+    """0 or 1: of two grasps or more, each has another number and colour with 1 than with 0."""
+    nearest: Nearest = "both"
 
     def framing(self, grasps: Grasps) -> Framing:
         """The part of the view that a model is sent, and at which size; ``grasps`` are in it."""

@@ -75,9 +75,7 @@ def pivot(scene: Scene, ask: Ask) -> Pick:
     winner = int(np.argmax(grasps.score))
     for round_ in range(1, ROUNDS + 1):
         rows = _spread(grasps, pool, winner)
-        winner, label = _ask_marked(
-            scene, ask, rows, "pivot", draw_grippers, round=round_, rounds=ROUNDS
-        )
+        winner, label = _ask_marked(scene, ask, rows, "pivot", draw_grippers, round_=round_)
         if len(pool) <= PIVOT_MARKS:
             break  # all of it has been shown
         apart = _apart(grasps, pool, winner)
@@ -99,6 +97,9 @@ STRATEGIES: dict[str, Strategy] = {
     "pivot": pivot,
     "avoid": avoid,
 }
+POINTING = ("cpg", "avoid")  # in these the model tells places in the picture
+CROWDED = ("gsi", "cpsi")
+"""They mark all candidates in one picture, where colours must tell them apart."""
 PERMUTABLE = ("gsi", "cpsi", "gmi", "cpmi")
 """They mark the same candidates however these are permuted, so two answers can be compared."""
 
@@ -117,7 +118,7 @@ def _ask_marked(
     draw: _Draw,
     *,
     separate: bool = False,
-    **values: int,
+    round_: int = 0,
 ) -> tuple[int, str]:
     """Marks some grasps, asks for one of them, and returns its row and its label.
 
@@ -128,30 +129,19 @@ def _ask_marked(
         name: of the prompt.
         draw: what a mark is.
         separate: whether each has a picture of its own.
-        values: what the prompt says besides.
+        round_: of ROUNDS, where there are some.
     """
-    grasps = scene.candidates.grasps
-    rows, marks = _shuffled(scene, rows, separate)
-    framing = scene.framing(grasps.take(rows))
-    reference = [plain(scene.view, framing)] if scene.rendering == "marked" else []
-    parts: list[str | Image] = list(reference)
-    if separate:
-        for row, mark in zip(rows, marks, strict=True):
-            one = grasps.take(np.array([row]))
-            parts += [
-                f"Image {mark.label}:", draw(scene.view, framing, one, [mark], scene.rendering)
-            ]  # fmt: skip
-    else:
-        parts.append(draw(scene.view, framing, grasps.take(rows), marks, scene.rendering))
+    rows, marks = _shuffled(scene, rows, separate=separate, round_=round_)
     labels = tuple(mark.label for mark in marks)
     prompt = prompts.load(name)
+    values = {"round": round_, "rounds": ROUNDS} if round_ else {}
     text = prompt.render(
         task=scene.task, rendering=scene.rendering, labels=labels, count=len(labels), **values
     )
     label = ask(
         Question(
             prompt=prompt.version,
-            parts=(*parts, text),
+            parts=(*_pictures(scene, rows, marks, draw, separate=separate), text),
             expects=Options(labels),
             marks={label: int(row) for label, row in zip(labels, rows, strict=True)},
         )
@@ -160,28 +150,55 @@ def _ask_marked(
     return int(rows[labels.index(label)]), label
 
 
-def _shuffled(scene: Scene, rows: Rows, separate: bool) -> tuple[Rows, list[Mark]]:
+def _pictures(
+    scene: Scene, rows: Rows, marks: Sequence[Mark], draw: _Draw, *, separate: bool
+) -> list[str | Image]:
+    """Returns the pictures of a question: the things unmarked, if at all, and then the marked."""
+    grasps = scene.candidates.grasps
+    framing = scene.framing(grasps.take(rows))
+    parts: list[str | Image] = []
+    if scene.rendering == "marked":
+        parts.append(plain(scene.view, framing))
+    if not separate:
+        return [*parts, draw(scene.view, framing, grasps.take(rows), marks, scene.rendering)]
+    for row, mark in zip(rows, marks, strict=True):
+        one = grasps.take(np.array([row]))
+        picture = draw(scene.view, framing, one, [mark], scene.rendering)
+        parts += [f"Image {mark.label}:", picture]
+    return parts
+
+
+def _shuffled(scene: Scene, rows: Rows, *, separate: bool, round_: int) -> tuple[Rows, list[Mark]]:
     """Returns the rows in the order in which they are shown, and the mark of each.
 
     Models prefer first and last places and certain colours (arXiv 2410.16983, 2512.17875), so both
-    are drawn by the scene's seed. In the other permutation every row has moved by half of all.
+    are drawn by the scene's seed, and anew in every round: else the winner of a round would have
+    the same mark in the next. In the other permutation every row has moved by half of all.
     """
-    count, most = len(rows), len(CANDIDATE_COLORS)
-    if count > most:
-        raise InputError(
-            f"{count} candidates are to be marked, and {most} colours tell them apart: set "
-            f"candidates.k to at most {most}"
-        )
-    rng = np.random.default_rng(scene.seed)
+    count = len(rows)
+    if not separate:
+        check_count(count)
+    rng = np.random.default_rng([scene.seed, round_])
     order, colors = rng.permutation(count), rng.permutation(count)
     if scene.permutation:
         order = np.roll(order, max(count // 2, 1))
     by_color = scene.rendering == "paper" and not separate
     marks = []
     for place, i in enumerate(colors):
-        color, rgb = CANDIDATE_COLORS[i]
+        color, rgb = CANDIDATE_COLORS[i % len(CANDIDATE_COLORS)]
         marks.append(Mark(label=color if by_color else str(place + 1), color=rgb))
     return rows[order], marks
+
+
+def check_count(count: int) -> None:
+    """Raises InputError where there are no colours for so many candidates in one picture."""
+    most = len(CANDIDATE_COLORS)
+    if count > most:
+        raise InputError(
+            f"{count} candidates are to be marked in one picture, and {most} colours tell them "
+            f"apart: set candidates.k (--k) to at most {most}, or take a strategy with a picture "
+            "for each, gmi or cpmi"
+        )
 
 
 def _spread(grasps: Grasps, pool: Rows, first: int) -> Rows:

@@ -1,7 +1,8 @@
 """The texts that a vision-language model is sent: Jinja templates, one file each, with a version.
 
 The first line of ``gsi.j2`` is ``{# gsi/1 #}``, its name and version; the version goes up whenever
-the text changes, since answers to another text are other answers. The task enters as data: a JSON
+the text changes, since answers to another text are other answers. The second says in a comment,
+for people, what a model is shown and asked. The task enters as data: a JSON
 string, in quotes, whatever it contains.
 """
 
@@ -17,7 +18,7 @@ import jinja2
 from tog_drake.errors import InputError
 
 _FOLDER = Path(__file__).parent
-_FIRST_LINE = re.compile(r"\{# ([a-z]+/[1-9][0-9]*) #\}\n")
+_HEAD = re.compile(r"\{# ([a-z]+/[1-9][0-9]*) #\}\n(?:\{# (.+) #\}\n)?")
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Prompt:
     """One text with its places for what changes."""
 
     version: str  # name and version, such as "gsi/1"
+    about: str  # what a model is shown, and how many questions it is asked
     source: str  # the file as it is
     template: jinja2.Template = field(repr=False)
 
@@ -48,10 +50,10 @@ def load(name: str) -> Prompt:
     if name not in names():
         raise InputError(f"unknown prompt {name!r}; valid: {', '.join(names())}")
     source = (_FOLDER / f"{name}.j2").read_text(encoding="utf-8")
-    first_line = _FIRST_LINE.match(source)
-    if first_line is None or first_line[1].split("/")[0] != name:
+    head = _HEAD.match(source)
+    if head is None or head[1].split("/")[0] != name:
         raise InputError(f"prompt {name}: its first line must be {{# {name}/VERSION #}}")
-    return Prompt(first_line[1], source, _environment().from_string(source))
+    return Prompt(head[1], head[2] or "", source, _environment().from_string(source))
 
 
 @cache

@@ -7,12 +7,15 @@ answer that is not found, or not for sure, is ``Unanswered``, and never the firs
 import re
 from typing import Any
 
-from tog_drake.drawing import CANDIDATE_COLORS
-from tog_drake.selectors.vlm.json_in_text import find_values, is_cut_off
+from tog_drake.selectors.vlm.json_in_text import is_cut_off
+from tog_drake.selectors.vlm.labels import read_label, refuse_what_is_no_answer
 from tog_drake.selectors.vlm.pointing import read_points, seen_size
 from tog_drake.selectors.vlm.profiles import Profile
 from tog_drake.selectors.vlm.question import Answer, Options, Points, Unanswered
 
+VERSION = "answer/1"
+"""Of what ``instruction`` and ``schema`` say; it goes up whenever any of it changes, the sentences
+in profiles.yaml included, since answers to other instructions are other answers."""
 MAX_LENGTH = 40_000  # characters of an answer
 MAX_REASONING = 2_000_000  # characters of an answer with the reasoning before it
 
@@ -57,15 +60,15 @@ def schema(profile: Profile, expects: Options | Points) -> dict[str, Any] | None
 def read(text: str, profile: Profile, expects: Options | Points) -> Answer:
     """Finds the answer in what a model said.
 
-    In this order: JSON, the words "Final answer:", a refusal, the last sentence with a label in it.
-    Reasoning between <think> tags is left out before, since it weighs what is not chosen, and may
+    Where a label is read from other words than JSON, and from which, is in ``labels``. Reasoning
+    between <think> tags is left out before, since it weighs what is not chosen, and may
     tell coordinates in another convention than the answer.
 
     Raises:
         Unanswered: empty, truncated, too_long, refused, unreadable, ambiguous, out_of_range or
             off_image; nothing else is raised, whatever the text.
     """
-    answer = _without_reasoning(text) if len(text) <= MAX_REASONING else text
+    answer = without_reasoning(text) if len(text) <= MAX_REASONING else text
     if len(answer) > MAX_LENGTH:
         raise Unanswered("too_long", f"{len(answer)} characters; at most {MAX_LENGTH} are read")
     answer = answer.strip()
@@ -74,12 +77,12 @@ def read(text: str, profile: Profile, expects: Options | Points) -> Answer:
     if is_cut_off(answer):
         raise Unanswered("truncated", "the JSON ends before it is complete")
     if isinstance(expects, Options):
-        return _read_label(answer, expects.labels)
+        return read_label(answer, expects.labels)
     try:
         return read_points(answer, profile, expects)
     except Unanswered as failure:
         if failure.status == "unreadable":
-            _refuse_what_is_no_answer(answer)
+            refuse_what_is_no_answer(answer)
         raise
 
 
@@ -125,13 +128,13 @@ def _how_written(profile: Profile, roles: tuple[str, ...]) -> tuple[str, str]:
             return "", each  # tags and coords: Molmo writes them unasked
 
 
-# What is left out, and what is none
+# What is left out
 
 
 _THINKS = re.compile(r"<(/?)(?:think|thinking|thought|reasoning)>", re.IGNORECASE | re.ASCII)
 
 
-def _without_reasoning(text: str) -> str:
+def without_reasoning(text: str) -> str:
     """Returns what comes after the last thought; a thought that does not end is truncated."""
     marks = list(_THINKS.finditer(text))
     ends = [mark for mark in marks if mark.group(1)]
@@ -142,125 +145,3 @@ def _without_reasoning(text: str) -> str:
     if not answer[: begun.start()].strip():
         raise Unanswered("truncated", "the model was still reasoning when it stopped")
     return answer[: begun.start()]
-
-
-_REFUSES = re.compile(
-    r"\bsorry\b|\bas an ai\b|\bwithout the image\b"
-    r"|\b(?:can ?not|can['’]t|won['’]t|unable to|not able to|decline to)"
-    r" (?:assist|help|process|comply|provide|answer|determine|view|see (?:the|any|an) image)\b",
-    re.IGNORECASE,
-)
-_NONE = re.compile(r"\bthere (?:are|is) none\b|^\W{0,9}none\W{0,9}$", re.IGNORECASE)
-
-
-def _refuse_what_is_no_answer(text: str) -> None:
-    """Says in which way there is no answer in ``text``, where its words do."""
-    if _NONE.search(text):
-        raise Unanswered("empty", "the model says that there is none")
-    if _REFUSES.search(text):
-        raise Unanswered("refused", f"the model refuses: {text[:80]!r}")
-
-
-# Labels
-
-
-_TOKEN = re.compile(
-    r"(?<![a-zA-Z\d.])[-−]?\d{1,9}(?![a-zA-Z\d%]|\.\d)(?!\s?(?:cm|mm|m|px|pixels?|degrees?|°|kg|g)\b)"
-    r"|(?<![a-zA-Z])[a-zA-Z]{1,40}(?![a-zA-Z])"
-)
-"""Words and whole numbers, but no decimals, shares or measures."""
-_SENTINEL = re.compile(
-    r"\bfinal\s{1,3}answer\b\W{0,9}(?:is\b\W{0,9})?|\banswer\b\W{0,5}(?:is\b|:)\W{0,9}",
-    re.IGNORECASE,
-)
-_SENTENCE_END = re.compile(r"[.!?](?=\s)|\n")
-_NOT = re.compile(r"\b(?:not|never|avoid|neither|nor|except)\b|n['’]t\b", re.IGNORECASE)
-_CHOSEN = (
-    "choice", "final_answer", "answer", "best", "selected", "index", "number", "color", "colour",
-    "label", "grasp", "candidate", "option", "id",
-)  # fmt: skip
-_COLORS = frozenset(name for name, _ in CANDIDATE_COLORS)
-
-
-def _read_label(text: str, labels: tuple[str, ...]) -> str:
-    by_word = {label.lower(): label for label in labels}
-    objects = [found for found in map(_objects_in, find_values(text)) if found]
-    for group in objects:
-        chosen = {_chosen_in(value, by_word) for value in group} - {None}
-        if len(chosen) > 1:
-            raise Unanswered("ambiguous", f"{len(chosen)} choices at once")
-        if chosen:
-            return str(chosen.pop())
-    for sentinel in list(_SENTINEL.finditer(text))[:-10:-1]:
-        rest = text[sentinel.end() : sentinel.end() + 300]
-        end = _SENTENCE_END.search(rest)
-        label = _label_in(rest[: end.start()] if end else rest, by_word)
-        if label is not None:
-            return label
-    _refuse_what_is_no_answer(text)
-    if objects:
-        raise Unanswered("unreadable", "the JSON has no key 'choice'")
-    ends = [end.end() for end in _SENTENCE_END.finditer(text)]
-    for start, stop in zip([0, *ends][::-1], [*ends, len(text)][::-1], strict=True):
-        label = _label_in(text[start:stop], by_word)
-        if label is not None:
-            return label
-    raise Unanswered("unreadable", f"no label is found in {text[-80:]!r}")
-
-
-def _objects_in(value: Any) -> list[dict[Any, Any]]:
-    return [item for item in (value if isinstance(value, list) else [value]) if type(item) is dict]
-
-
-def _chosen_in(value: dict[Any, Any], by_word: dict[str, str]) -> str | None:
-    """Returns the label that a JSON object names; None where it has no key for it."""
-    keys = {key.lower(): key for key in value if isinstance(key, str)}
-    named = [keys[key] for key in _CHOSEN if key in keys]
-    if not named:
-        return None
-    chosen = value[named[0]]
-    if isinstance(chosen, list) and len(chosen) == 1:
-        chosen = chosen[0]
-    if chosen is None or chosen == []:
-        raise Unanswered("empty", "the model chooses none")
-    if isinstance(chosen, list):
-        raise Unanswered("ambiguous", f"{len(chosen)} choices at once")
-    if isinstance(chosen, bool) or not isinstance(chosen, (int, str)):
-        raise Unanswered("unreadable", "the choice is neither a whole number nor text")
-    if isinstance(chosen, int) and abs(chosen) >= 10**9:
-        raise Unanswered("out_of_range", "the choice is far beyond the labels")
-    said = str(chosen)
-    label = _label_in(said[:300], by_word)
-    if label is None:
-        raise Unanswered("unreadable", f"the choice is {said[:80]!r}")
-    return label
-
-
-def _label_in(sentence: str, by_word: dict[str, str]) -> str | None:
-    """Returns the one label that a sentence names; None where it names nothing like a label.
-
-    Raises:
-        Unanswered: it names several, or another number beside it, or has a "not" in it (ambiguous),
-            or it names only what is no label (out_of_range): another number where labels are
-            numbers, or a colour that is not drawn.
-    """
-    numbers = any(word.isdigit() for word in by_word)
-    labels: set[str] = set()
-    others: set[str] = set()
-    for token in _TOKEN.findall(sentence):
-        is_number = not token.isalpha()
-        word = str(int(token.replace("−", "-"))) if is_number else token.lower()
-        if word in by_word:
-            labels.add(by_word[word])
-        elif (is_number and numbers) or (word in _COLORS and not _COLORS.isdisjoint(by_word)):
-            others.add(word)
-    if len(labels) > 1 or (labels and numbers and others):
-        raise Unanswered("ambiguous", f"{', '.join(sorted(labels | others)[:5])} in one sentence")
-    if labels and _NOT.search(sentence):
-        raise Unanswered("ambiguous", f"{sentence[:80]!r} may speak against {', '.join(labels)}")
-    if labels:
-        return labels.pop()
-    if others:
-        some = ", ".join(sorted(others)[:5])
-        raise Unanswered("out_of_range", f"{some}: none of {', '.join(by_word.values())}")
-    return None

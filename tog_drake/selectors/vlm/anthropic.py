@@ -9,7 +9,7 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import require_key
+from tog_drake.selectors.vlm.keys import key_variables, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPTIONAL = {
@@ -33,7 +33,7 @@ class Anthropic:
     model: str = ""  # such as claude-sonnet-5-5
     base_url: str = "https://api.anthropic.com"  # what comes before /v1/messages
     profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str = "ANTHROPIC_API_KEY"  # environment variable that holds the key
+    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
     max_tokens: int = 4096  # of an answer, reasoning included
     effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
 
@@ -47,8 +47,11 @@ class Anthropic:
     def url(self) -> str:
         return self.base_url.rstrip("/") + "/v1/messages"
 
+    def key_variables(self) -> tuple[str, ...]:
+        return key_variables(self.key_variable, ["ANTHROPIC_API_KEY"], self.url())
+
     def headers(self) -> dict[str, str]:
-        key = require_key([self.key_variable], self.url())
+        key = require_key(self.key_variables(), self.url())
         return {"x-api-key": key, "anthropic-version": "2023-06-01"}
 
     def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:

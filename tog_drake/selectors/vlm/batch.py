@@ -8,6 +8,7 @@ filled in.
 
 import base64
 import json
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from tog_drake.selectors.vlm.request import Request, pixel_hash, save_images
 from tog_drake.visible_text import visible
 
 MAX_BATCH = 190_000_000  # [byte] of a file: OpenAI takes 200 MB, Anthropic 256 MB, Gemini 2 GB
+_BATCH_FILE = re.compile(r"batch-[1-9][0-9]*\.jsonl?")  # as an export writes them
 _TEMPLATES = Path(__file__).resolve().parents[2] / "templates"
 _HOW = {
     "openai": "upload each file with purpose “batch” and create a batch for /v1/chat/completions, "
@@ -71,8 +73,9 @@ class Export:
     _array: bool = False  # one JSON object with all requests, not a line for each
 
     def __post_init__(self) -> None:
-        for old in (*self.folder.glob("batch-*.json"), *self.folder.glob("batch-*.jsonl")):
-            old.unlink()
+        for old in self.folder.glob("batch-*"):
+            if _BATCH_FILE.fullmatch(old.name):  # results of batches stay, whatever their names
+                old.unlink()
 
     def add(self, request: Request, about: str) -> None:
         """Adds a question, unless it is there already; ``about`` says to a person where it is from.

@@ -16,7 +16,6 @@ from tog_drake.selectors.vlm.bodies import at, text_at
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.question import Api, Unanswered
 from tog_drake.selectors.vlm.recorded import Recorded, Source, read_json
-from tog_drake.selectors.vlm.specification import read_specification
 from tog_drake.selectors.vlm.transport import MAX_BYTES
 from tog_drake.visible_text import visible
 
@@ -41,6 +40,7 @@ class Imported:
     """What became of the answers in a file: each is counted once."""
 
     added: int = 0
+    replaced: int = 0  # another answer by hand
     known: int = 0  # the same answer was there already
     empty: int = 0  # left empty by hand
     problems: list[str] = field(default_factory=list)  # of the others, each with its line
@@ -111,8 +111,13 @@ def _problem(kind: Any, error: Any) -> str:
     return visible(" ".join(f"{kind or 'no answer'} {said}".split()), limit=200)
 
 
-def import_answers(cassette: Cassette, answers: Sequence[Given]) -> Imported:
-    """Enters answers in the cassette that holds their questions; a first answer stays."""
+def import_answers(
+    cassette: Cassette, answers: Sequence[Given], *, replace_by_hand: bool = False
+) -> Imported:
+    """Enters answers in the cassette that holds their questions.
+
+    A first answer stays, but for one by hand that another by hand is to replace.
+    """
     questions = {custom_id(entry.key): entry for entry in cassette.questions}
     imported = Imported()
     for given in answers:
@@ -125,31 +130,42 @@ def import_answers(cassette: Cassette, answers: Sequence[Given]) -> Imported:
         elif given.problem:
             imported.problems.append(f"{given.where}: {given.problem}")
         else:
-            _enter(cassette, questions, given, imported)
+            _enter(cassette, questions, given, imported, replace_by_hand)
     imported.answered = sum(entry.response is not None for entry in cassette.questions)
     imported.pending = len(cassette.questions) - imported.answered
     return imported
 
 
 def _enter(
-    cassette: Cassette, questions: dict[str, Recorded], given: Given, imported: Imported
+    cassette: Cassette,
+    questions: dict[str, Recorded],
+    given: Given,
+    imported: Imported,
+    replace_by_hand: bool,
 ) -> None:
     """Enters one answer, and counts what became of it."""
     entry = questions[custom_id(given.name)]
-    api: Api = read_specification(entry.model)
+    api: Api = entry.config()
     response = given.response if given.answer is None else said_by_hand(api, given.answer)
     try:
         api.read(response)
     except Unanswered as error:
         imported.problems.append(f"{given.where}: {error}")
         return
+    source: Source = "batch" if given.answer is None else "hand"
     new = entry.response is None
-    if new:
-        source: Source = "batch" if given.answer is None else "hand"
+    by_hand = entry.source == source == "hand" and entry.response != response
+    corrected = not new and by_hand and replace_by_hand
+    if new or corrected:
         answered = replace(entry, response=response, error=None, source=source, seconds=0.0)
         entry = questions[custom_id(given.name)] = cassette.enter(answered)
     if entry.response != response:
-        imported.problems.append(f"{given.where}: its question has another answer, which stays")
+        corrects = "; --replace corrects an answer by hand" if by_hand else ""
+        imported.problems.append(
+            f"{given.where}: its question has another answer, which stays{corrects}"
+        )
+    elif corrected:
+        imported.replaced += 1
     elif new:
         imported.added += 1
     else:

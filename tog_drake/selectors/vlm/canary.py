@@ -7,6 +7,7 @@ a transposed or rescaled answer is right in one of them.
 """
 
 import json
+import re
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tog_drake.drawing import CANDIDATE_COLORS
+from tog_drake.selectors import prompts
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
@@ -21,13 +23,13 @@ from tog_drake.selectors.vlm.profiles import PROFILES, Profile
 from tog_drake.selectors.vlm.question import Answer, Image, Options, Points, Question, Unanswered
 from tog_drake.values import Exchange
 
-PROMPT = "canary/1"
 WIDTH, HEIGHT = 896, 672  # [pixel] multiples of 224: no model's server resizes it
 RADIUS = 48  # [pixel] of a disc
 WITHIN = 20.0  # [pixel] a point that is farther from the centre is not accepted
 COLORS = ("red", "green", "blue", "yellow", "magenta", "white")
 _GROUND, _INK = (120, 120, 120), (15, 15, 15)
 _NUMBERS = 5  # to choose from
+_SILENT = frozenset({"refused", "empty", "truncated"})  # such an answer tells nothing of its form
 _GONE = frozenset({"unreachable", "timed_out", "rejected"})  # then there is no sense in asking on
 
 
@@ -147,15 +149,15 @@ def check_model(
     numbers, colors = Options(canary.numbers), Options(COLORS)
     point = Points(("disc",), (WIDTH, HEIGHT))
 
-    def ask(text: str, expects: Options | Points) -> Answer | None:
+    prompt = prompts.load("canary")
+
+    def ask(question: str, expects: Options | Points) -> Answer | None:
+        text = prompt.render(question=question, color=canary.target)
         with suppress(Unanswered):
-            return dialogue.ask(Question(PROMPT, (canary.image, text), expects))
+            return dialogue.ask(Question(prompt.version, (canary.image, text), expects))
         return None
 
-    number = ask(
-        "The image shows coloured discs. One of them has a number on it. Which number is it?",
-        numbers,
-    )
+    number = ask("number", numbers)
     if dialogue.exchanges[-1].status in _GONE:
         return Report((_reached(dialogue.exchanges[-1]),), dialogue.exchanges)
     findings = [
@@ -163,12 +165,12 @@ def check_model(
         _seen("number", number, canary.number, dialogue.exchanges[-1]),
         _structured(profile, numbers, dialogue.exchanges[-1]),
     ]
-    color = ask("Which colour has the disc with the number on it?", colors)
+    color = ask("colour", colors)
     findings.append(_seen("colour", color, canary.numbered, dialogue.exchanges[-1]))
-    pointed = ask(
-        f"Point to the centre of the {canary.target} disc. Return exactly one point.", point
+    pointed = ask("point", point)
+    findings.append(
+        _pointed(pointed, canary.pixel, point, profile, client.model, dialogue.exchanges[-1])
     )
-    findings.append(_pointed(pointed, canary.pixel, point, profile, dialogue.exchanges[-1]))
     return Report(tuple(findings), dialogue.exchanges)
 
 
@@ -193,9 +195,11 @@ def _structured(profile: Profile, expects: Options | Points, exchange: Exchange)
         return Finding(
             "structured output", True, f"the profile {profile.name} asks for none", False
         )
+    if exchange.status in _SILENT:
+        return Finding("structured output", False, f"not tested: {exchange.status}", False)
     try:
-        said = json.loads(exchange.answer or "")
-    except (ValueError, RecursionError):
+        said = json.loads(answers.without_reasoning(exchange.answer or ""))
+    except (Unanswered, ValueError, RecursionError):
         said = None
     if isinstance(said, dict) and set(schema["required"]) <= said.keys():
         return Finding("structured output", True, "honoured", False)
@@ -208,6 +212,7 @@ def _pointed(
     true: tuple[float, float],
     expects: Points,
     profile: Profile,
+    model: str,
     exchange: Exchange,
 ) -> Finding:
     """How far from the centre the model points, and which profile would be right if this is not."""
@@ -219,24 +224,34 @@ def _pointed(
             return Finding(name, True, found)
     else:
         found = f"{exchange.status}: {exchange.message}"
-    right = right_profiles(exchange.answer or "", expects, true)
-    advice = (
-        f"the same answer is right if it is read as {' or '.join(right)}: try --profile {right[0]}"
-        if right
-        else "no other profile reads it right"
-    )
+        if exchange.status in _SILENT:
+            return Finding(name, False, found)
+    right = right_profiles(exchange.answer or "", expects, true, model)
+    advice = "no other profile reads it right"
+    if right:
+        advice = f"the same answer is right if it is read as {right[0]}: try --profile {right[0]}"
+    if right[1:]:
+        advice += f" ({', '.join(right[1:])}: equal for pointing)"
     return Finding(name, False, f"{found}; {advice}")
 
 
-def right_profiles(text: str, expects: Points, true: tuple[float, float]) -> list[str]:
-    """Returns the names of the profiles by which ``text`` is a point within ``WITHIN`` of truth."""
+def right_profiles(text: str, expects: Points, true: tuple[float, float], model: str) -> list[str]:
+    """Returns the names of the profiles by which ``text`` is a point within ``WITHIN`` of truth.
+
+    First those of relatives of ``model`` by its name, then that of no family.
+    """
+
+    def far(name: str) -> tuple[bool, bool]:
+        family = re.split("[^a-z]", name)[0]
+        return family not in model.lower(), name != "pixels"
+
     right = []
     for profile in PROFILES.values():
         with suppress(Unanswered):
             answer = answers.read(text, profile, expects)
             if isinstance(answer, dict) and _miss(answer, true) <= WITHIN:
                 right.append(profile.name)
-    return right
+    return sorted(right, key=far)
 
 
 def _miss(answer: dict[str, tuple[float, float]], true: tuple[float, float]) -> float:

@@ -1,27 +1,36 @@
 """Questions to a model and its answers in a file: asked once, replayed as often as one likes.
 
 A cassette is a file of lines as in ``recorded``. Of several lines of one key the last holds, but
-for a response, which is final. Each image lies once in ``<stem>.images/<hex>.png`` beside the
-cassette. Headers are never written, and whatever part of a key a server sends back is taken out
-by ``transport``: there is no key in a cassette.
+for a response, which is final, unless it was given by hand and is corrected by hand. Each image
+lies once in ``<stem>.images/<hex>.png`` beside the cassette. Headers are never written, and
+whatever part of a key a server sends back is taken out by ``transport``: there is no key in a
+cassette.
 """
 
 import fcntl
 import logging
 import os
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.question import Unanswered
-from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry, write_entry
+from tog_drake.selectors.vlm.recorded import (
+    MAX_LINE,
+    Recorded,
+    opencv_version,
+    read_entry,
+    write_entry,
+)
 from tog_drake.selectors.vlm.request import QuestionPending, Request, save_images
-from tog_drake.selectors.vlm.specification import ModelConfig, read_specification
+from tog_drake.selectors.vlm.specification import ModelConfig
 
 Mode = Literal["record", "replay", "export"]
 """record: what has no answer yet is asked, and added. replay: it is an error. export: it is
 collected, to be asked elsewhere."""
+_SHOWN = 4  # of what a cassette holds, in a message
 MAX_FILE = 1_000_000_000  # [byte]
 
 _log = logging.getLogger(__name__)
@@ -48,7 +57,6 @@ class Cassette:
         self._known: dict[str, Recorded] = {}
         self._offset = 0  # [byte] up to which the file has been read, whole lines
         self._lines = 0  # as many as these
-        self._torn_at = -1
         if mode == "replay" and not self.path.is_file():
             raise InputError(
                 f"there is no cassette {self.path} to replay; record one with --record {self.path}"
@@ -70,13 +78,18 @@ class Cassette:
         Raises:
             InputError: there is none, or more than one.
         """
-        models = {(entry.model, entry.profile) for entry in self._known.values()}
+        models = {
+            f"{entry.model} ({entry.profile}, max_tokens {entry.max_tokens}, effort "
+            f"{entry.effort or 'not given'})": entry
+            for entry in self._known.values()
+        }
         if len(models) == 1:
-            return read_specification(*models.pop())
-        names = ", ".join(f"{model} ({profile})" for model, profile in sorted(models))
+            return models.popitem()[1].config()
+        if not models:
+            raise InputError(f"{self.path} is empty; record some questions with --record")
         raise InputError(
-            f"{self.path} holds questions to {len(models)} models"
-            + (f": {names}; say which with --vlm" if models else "; record some with --record")
+            f"{self.path} holds questions to {len(models)} models: {', '.join(sorted(models))}; "
+            "say which with --vlm, or as the model of a scenario"
         )
 
     def lookup(self, request: Request) -> Recorded | None:
@@ -84,6 +97,7 @@ class Cassette:
 
         Raises:
             Unanswered: it was asked in vain, and that is replayed.
+            InputError: what is recorded on was answered by another model or server.
             NotRecorded: it has no answer, and nobody may be asked.
             QuestionPending: it has no answer, and is to be asked elsewhere.
         """
@@ -92,6 +106,11 @@ class Cassette:
             self._read_on()
             found = self._known.get(request.key)
         if found is not None and found.response is not None:
+            if self.mode == "record" and found.model != request.model:
+                raise InputError(
+                    f"{self.path} has the answer of {found.model} to a question to "
+                    f"{request.model}; valid: another file for --record, or --replay {self.path}"
+                )
             return found
         if self.mode == "replay":
             self._refuse(request, found)
@@ -158,11 +177,31 @@ class Cassette:
                 f"{self.path}: {what} still waits for its answer: give it with `tog vlm import`, "
                 f"or ask the model with --record {self.path}"
             )
+        if not self._known:
+            raise NotRecorded(
+                f"{self.path} is empty: no answer to {what}. Ask with --record {self.path} in "
+                "place of --replay"
+            )
         raise NotRecorded(
             f"{self.path} has no answer to {what}: it was not asked with this scene, seed, task, "
             "strategy, rendering, model, max_tokens and effort. Ask with "
-            f"--record {self.path} in place of --replay"
+            f"--record {self.path} in place of --replay. It holds {self._contents()}"
+            + self._drawn_elsewhere()
         )
+
+    def _contents(self) -> str:
+        """Which prompts of which models there are, in a few words."""
+        held = sorted({f"{entry.prompt} of {entry.model}" for entry in self._known.values()})
+        more = f" and {len(held) - _SHOWN} more" if len(held) > _SHOWN else ""
+        return ", ".join(held[:_SHOWN]) + more
+
+    def _drawn_elsewhere(self) -> str:
+        """Says so where another version of OpenCV drew the images: its letters differ."""
+        here = opencv_version()
+        others = {entry.opencv for entry in self._known.values()} - {here}
+        if not others:
+            return ""
+        return f". Its images were drawn with OpenCV {', '.join(sorted(others))}; here is {here}"
 
     def _read_on(self) -> None:
         """Reads what has been added since, when nobody is in the middle of a line."""
@@ -189,7 +228,7 @@ class Cassette:
                 except InputError:
                     if ended or len(data) > MAX_LINE:
                         raise
-                    self._warn(where)
+                    _warn_torn(where)
                     return "torn"
                 if not ended:
                     return "open"
@@ -201,14 +240,16 @@ class Cassette:
         if entry is not None and _says_more(entry, self._known.get(entry.key)):
             self._known[entry.key] = entry
 
-    def _warn(self, where: str) -> None:
-        if self._torn_at != self._offset:  # once
-            self._torn_at = self._offset
-            _log.warning("%s is torn, perhaps by a process that was killed; left out", where)
+
+@cache  # once, however many read the file: the options are tried before the run
+def _warn_torn(where: str) -> None:
+    _log.warning("%s is torn, perhaps by a process that was killed; left out", where)
 
 
 def _says_more(entry: Recorded, known: Recorded | None) -> bool:
     """Whether a line changes what is known of its question."""
     if known is None:
         return True
+    if known.source == entry.source == "hand" and entry.response is not None:
+        return bool(entry.response != known.response)
     return known.response is None and not entry.pending

@@ -4,7 +4,7 @@ import base64
 import logging
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from tog_drake.drawing import encode_png
@@ -27,6 +27,8 @@ class Asked:
     key: str  # of the question, under which a cassette has it
     seconds: float  # latency, that of the recording where it was replayed
     cost: float | None  # [USD]; None where price or tokens are not known
+    replayed: str | None = field(compare=False)
+    """The cassette that had the reply; None: the model was asked."""
 
 
 class Client:
@@ -41,18 +43,21 @@ class Client:
             cassette: where questions are looked up and, where it is recorded, answers are kept.
 
         Raises:
-            InputError: the config makes no sense, its key is missing (where it is asked for
-                sure), or the table of prices that the user gave cannot be read.
+            InputError: the config makes no sense, or the table of prices that the user gave
+                cannot be read.
         """
         check_model(api)
-        if cassette is None:
-            api.headers()
         self._api = api
         self._profile = profile
         self._cassette = cassette
         self._prices = load_prices()
         self._times: Counter[str] = Counter()  # how often each question was asked
         self._complaints: dict[str, str] = {}  # parameter -> how the server refused it
+
+    def check_key(self) -> None:
+        """Raises InputError where the model will be asked for sure, and its key is missing."""
+        if self._cassette is None:
+            self._api.headers()
 
     def ask(self, message: Message, deadline: float) -> Asked:
         """Asks, with all the retries that there is time for.
@@ -78,7 +83,19 @@ class Client:
             key=request.key,
             seconds=seconds,
             cost=self._prices.cost(self._api.url(), model, reply.tokens),
+            replayed=None if entry is None or self._cassette is None else str(self._cassette.path),
         )
+
+    @property
+    def model(self) -> str:
+        """Its name, as it is asked for."""
+        return self._api.model
+
+    @property
+    def replays(self) -> str | None:
+        """The cassette, where all answers and failures come from it; else None."""
+        cassette = self._cassette
+        return str(cassette.path) if cassette is not None and cassette.mode == "replay" else None
 
     def key(self, message: Message) -> str:
         """Returns the key under which ``message`` was asked last."""

@@ -1,6 +1,6 @@
 """The questions of one decision and the model's answers, in order.
 
-The client sends, ``answers`` reads; here a question that got no readable answer is put once more,
+The client sends, ``answers`` reads; here a question whose answer is no use is put once more,
 and every exchange is kept for the record.
 """
 
@@ -23,8 +23,10 @@ from tog_drake.selectors.vlm.question import (
 )
 from tog_drake.values import Exchange
 
-REPAIRABLE = frozenset({"unreadable", "ambiguous", "out_of_range", "empty", "truncated"})
-"""After these a model is asked once more: it was willing, but did not say it so that it is read."""
+REPAIRABLE = frozenset(
+    {"unreadable", "ambiguous", "out_of_range", "empty", "truncated", "off_image", "off_object"}
+)
+"""After these a model is asked once more: it was willing, but what it said is no use."""
 MORE_TOKENS = 4  # times as many, where the first answer was truncated
 _EXCERPT = 300  # characters of an unusable answer that are quoted
 
@@ -41,7 +43,7 @@ class Dialogue:
         self.exchanges: tuple[Exchange, ...] = ()
 
     def ask(self, question: Question) -> Answer:
-        """Returns the model's answer, to a repair question where the first is not readable.
+        """Returns the model's answer, to a repair question where the first is no use.
 
         Raises Unanswered where neither can be used.
         """
@@ -71,11 +73,13 @@ class Dialogue:
         )
         started = time.monotonic()
         asked: Asked | None = None
+        answer: Answer | None = None
         try:
             asked = self._client.ask(message, self._deadline)
             answer = _read(asked.reply, self._profile, question.expects)
+            question.check(answer)
         except Unanswered as error:
-            self._note(question, message, asked, error, time.monotonic() - started)
+            self._note(question, message, asked, error, time.monotonic() - started, answer)
             raise
         self._note(question, message, asked, None, asked.seconds, answer)
         return answer
@@ -90,6 +94,9 @@ class Dialogue:
         answer: Answer | None = None,
     ) -> None:
         reply = None if asked is None else asked.reply
+        replayed = self._client.replays if asked is None else asked.replayed
+        if asked is None and replayed is not None:
+            seconds = 0.0  # to look it up is no latency of the model
         text, images = _shown(message.parts)
         self.exchanges += (
             Exchange(
@@ -106,14 +113,9 @@ class Dialogue:
                 tokens=None if reply is None else reply.tokens,
                 cost=None if asked is None else asked.cost,
                 points=answer if isinstance(answer, dict) else {},
+                replayed=replayed,
             ),
         )
-
-    def blame(self, error: Unanswered) -> None:
-        """Notes with the last exchange what its answer turned out to be, a point on no object."""
-        if self.exchanges and self.exchanges[-1].status == "ok":
-            last = replace(self.exchanges[-1], status=error.status, message=str(error))
-            self.exchanges = (*self.exchanges[:-1], last)
 
 
 def _read(reply: Reply, profile: Profile, expects: Options | Points) -> Answer:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from urllib.parse import quote, urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import require_key
+from tog_drake.selectors.vlm.keys import key_variables, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPTIONAL = {
@@ -42,7 +42,7 @@ class Gemini:
     model: str = ""  # such as gemini-3.8-flash
     base_url: str = "https://generativelanguage.googleapis.com"  # what comes before /v1beta
     profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str = "GOOGLE_API_KEY"  # environment variable of the key; next, GEMINI_API_KEY
+    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
     max_tokens: int = 4096  # of an answer, reasoning included
     effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
 
@@ -57,9 +57,12 @@ class Gemini:
         model = quote(self.model.removeprefix("models/"), safe="")
         return f"{self.base_url.rstrip('/')}/v1beta/models/{model}:generateContent"
 
+    def key_variables(self) -> tuple[str, ...]:
+        return key_variables(self.key_variable, ["GOOGLE_API_KEY", "GEMINI_API_KEY"], self.url())
+
     def headers(self) -> dict[str, str]:
         # Not as ?key=: addresses end up in logs.
-        return {"x-goog-api-key": require_key([self.key_variable, "GEMINI_API_KEY"], self.url())}
+        return {"x-goog-api-key": require_key(self.key_variables(), self.url())}
 
     def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:
         config: dict[str, Any] = {"maxOutputTokens": message.max_tokens}

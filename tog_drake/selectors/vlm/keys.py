@@ -1,8 +1,13 @@
-"""API keys: taken from the environment, sent where nobody listens in, shown nowhere."""
+"""API keys: taken from the environment, sent to whom they belong, shown nowhere.
+
+A provider's own key goes to that provider and to servers on this machine. Every other server gets
+the key in ``VLM_API_KEY``, or in another variable that is named for it: a scenario from somebody
+else cannot send a provider's key elsewhere.
+"""
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
@@ -13,6 +18,37 @@ _VARIABLE = re.compile(r"[A-Z][A-Z0-9_]*_API_KEY")
 _PUBLIC_HEADERS = frozenset({"accept", "accept-encoding", "anthropic-version", "content-type"})
 _SHORTEST = 8  # characters; a shorter "key" is a placeholder such as "EMPTY", which is no secret
 HIDDEN = "[key]"
+ELSEWHERE = "VLM_API_KEY"  # of a server that is no provider's own
+_OWNERS = {  # variable of a provider's key -> the host that it is sent to
+    "OPENAI_API_KEY": "api.openai.com",
+    "GOOGLE_API_KEY": "generativelanguage.googleapis.com",
+    "GEMINI_API_KEY": "generativelanguage.googleapis.com",
+    "ANTHROPIC_API_KEY": "api.anthropic.com",
+}
+
+
+def key_variables(named: str | None, own: Sequence[str], url: str) -> tuple[str, ...]:
+    """Returns the environment variables in which the key for ``url`` is looked for, in order.
+
+    Args:
+        named: the variable that the user wants; None: the usual ones.
+        own: variables of the provider whose protocol is spoken.
+        url: of the server.
+
+    Raises:
+        InputError: the variable that is named holds the key of another host.
+    """
+    host = urlsplit(url).hostname
+    local = is_loopback(url)
+    if named is None:
+        return tuple(own) if local or host in {_OWNERS[v] for v in own} else (ELSEWHERE,)
+    owner = _OWNERS.get(named, host)
+    if owner != host and not local:
+        raise InputError(
+            f"key_variable {named}: its key belongs to {owner} and is not sent to {host}; valid: "
+            f"another variable that ends in _API_KEY, or none for {ELSEWHERE}"
+        )
+    return (named,)
 
 
 def read_key(variable: str, url: str) -> str | None:

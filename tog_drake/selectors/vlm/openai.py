@@ -10,7 +10,7 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import quoted, read_key, require_key
+from tog_drake.selectors.vlm.keys import key_variables, quoted, read_key, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPENAI = "https://api.openai.com/v1"
@@ -20,6 +20,7 @@ _OPTIONAL = {
 }
 # One is the old name of the other; servers know the old one, the new one, or both.
 _LIMITS = ("max_tokens", "max_completion_tokens")
+_REASONING = ("reasoning", "reasoning_content", "thinking")  # where servers put it
 _FINISH: dict[str, Literal["length", "refusal"]] = {
     "length": "length",
     "content_filter": "refusal",
@@ -33,7 +34,7 @@ class OpenAi:
     model: str = ""  # as the server names it
     base_url: str = _OPENAI  # what comes before /chat/completions
     profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str = "OPENAI_API_KEY"  # environment variable that holds the key
+    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
     max_tokens: int = 4096  # of an answer, reasoning included
     effort: str | None = None  # of reasoning: none, low, medium, high; None: the server's default
 
@@ -50,12 +51,16 @@ class OpenAi:
     def _is_openai(self) -> bool:
         return urlsplit(self.base_url).hostname == urlsplit(_OPENAI).hostname
 
+    def key_variables(self) -> tuple[str, ...]:
+        return key_variables(self.key_variable, ["OPENAI_API_KEY"], self.url())
+
     def headers(self) -> dict[str, str]:
         """OpenAI itself wants a key; other servers get one where there is one."""
+        variables = self.key_variables()
         if self._is_openai():
-            key: str | None = require_key([self.key_variable], self.url())
+            key: str | None = require_key(variables, self.url())
         else:
-            key = read_key(self.key_variable, self.url())
+            key = read_key(variables[0], self.url())
         return {"Authorization": f"Bearer {key}"} if key else {}
 
     def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:
@@ -89,9 +94,13 @@ class OpenAi:
             raise Unanswered("unreachable", "the server's answer holds no choices[0].message")
         refusal = short_at(choice, "message", "refusal")
         finish = text_at(choice, "finish_reason")
+        text = _content(at(choice, "message", "content"))
+        # Nothing but reasoning: some servers say "stop" when it has used up the tokens.
+        thought = any(text_at(choice, "message", name) for name in _REASONING)
+        cut = thought and finish == "stop" and not text.strip()
         return Reply(
-            text=without_thoughts(_content(at(choice, "message", "content"))),
-            finish="refusal" if refusal else _FINISH.get(finish, "stop"),
+            text=text,
+            finish="refusal" if refusal else "length" if cut else _FINISH.get(finish, "stop"),
             model=short_at(body, "model") or None,
             tokens=token_counts(
                 count_at(body, "usage", "prompt_tokens"),
@@ -116,17 +125,6 @@ class Qwen(OpenAi):
 
     model: str = "Qwen/Qwen3-VL-8B-Instruct"
     base_url: str = "http://localhost:8000/v1"
-
-
-def without_thoughts(text: str) -> str:
-    """Returns what follows the last ``</think>``; nothing where a ``<think>`` is never closed.
-
-    Servers without a reasoning parser send the reasoning so, with the answer.
-    """
-    _, closed, answer = text.rpartition("</think>")
-    if not closed and text.lstrip().startswith("<think>"):
-        return ""
-    return answer
 
 
 def _part(part: str | Image, encode: Callable[[Image], str]) -> dict[str, Any]:

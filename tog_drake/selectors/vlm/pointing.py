@@ -116,11 +116,13 @@ def _along(value: float, seen: int, side: int, scale: float | None) -> float:
 
 
 def _by_role(told: list[Told], roles: tuple[str, ...]) -> dict[str, Told]:
-    """Returns the one point of each role; with one role it need not be labelled."""
+    """Returns the one point of each role; with one role it need not be labelled with it, but its
+    label must not speak against it."""
     found: dict[str, Told] = {}
     for role in roles:
         labelled = [point for point in told if _names(point.label, role)]
-        places = {(p.x, p.y): p for p in labelled or (told if len(roles) == 1 else [])}
+        unlabelled = [point for point in told if not _against(point.label, role)]
+        places = {(p.x, p.y): p for p in labelled or (unlabelled if len(roles) == 1 else [])}
         if len(places) > 1:
             raise Unanswered("ambiguous", f"there are {len(places)} points for {role!r}")
         if places:
@@ -133,7 +135,18 @@ def _by_role(told: list[Told], roles: tuple[str, ...]) -> dict[str, Told]:
     return found
 
 
+_OPPOSITE = frozenset(
+    {"no", "not", "never", "none", "nothing", "nowhere", "neither", "nor", "don", "dont", "doesn"}
+    | {"cannot", "avoid", "except", "keep", "off", "bad", "wrong", "unsafe", "unsuitable"}
+    | {"dangerous", "forbidden", "reject"}
+)
+"""Words of labels for the contrary of a place to grasp; "don" and "doesn" since ' parts words."""
 _FILLERS = frozenset({"a", "the", "to", "point", "place", "part", "here", "where", "it", "this"})
+
+
+def _against(label: str, role: str) -> bool:
+    """Whether a label may mean the contrary of a role: "do not grasp here", "no suitable place"."""
+    return not _OPPOSITE.isdisjoint(set(re.findall(r"[^\W_]+", label.lower())) - {role.lower()})
 
 
 def _names(label: str, role: str) -> bool:
@@ -141,6 +154,8 @@ def _names(label: str, role: str) -> bool:
 
     Anything freer could say the opposite ("do not grasp here").
     """
+    if _against(label, role):
+        return False
     words = re.findall(r"[^\W_]+|[:(]", label.lower())
     if len(words) > 1 and words[0] == role.lower() and not words[1].isalnum():
         return True

@@ -59,6 +59,9 @@ class Profile:
     prompt: str  # the sentence about coordinates, with {width} and {height} of the image seen
     key: Key = "point"  # of a point in JSON
     resize: Resize | None = None  # of the image, before the model sees it; None: it stays
+    max_side: int | None = None
+    """[pixel] Longer sides are resized before the model sees the image, by no rule that is known;
+    None: no such limit is known."""
 
 
 def load_profiles(path: Path) -> dict[str, Profile]:
@@ -98,7 +101,8 @@ def find_profile(model: str, named: str | None = None) -> Profile:
             return profile
     raise InputError(
         f"how the model {model!r} tells coordinates is not known, and it is not guessed: name its "
-        f"profile (--profile, or `profile:` in the scenario), one of {names}"
+        f"profile (--profile, or `profile:` in the scenario), one of {names}. `tog vlm check "
+        "--vlm ... --profile NAME` finds out which"
     )
 
 
@@ -122,6 +126,9 @@ def _profile(name: str, entry: Any, where: str) -> Profile:
     resize = _resize(entry["resize"], f"{where}: resize") if "resize" in entry else None
     if resize is not None and scale != "pixel":
         raise InputError(f"{where}: resize: it matters only where pixels are told")
+    max_side = entry.get("max_side")
+    if max_side is not None and (type(max_side) is not int or max_side < 1 or scale != "pixel"):
+        raise InputError(f"{where}: max_side: {max_side!r}; a whole number, where pixels are told")
     if type(entry["structured"]) is not bool:
         raise InputError(f"{where}: structured: {entry['structured']!r}; use true or false")
     formats = _texts(entry["formats"], f"{where}: formats")
@@ -139,6 +146,7 @@ def _profile(name: str, entry: Any, where: str) -> Profile:
         prompt=_texts([entry["prompt"]], f"{where}: prompt")[0],
         key=_one_of(entry.get("key", "point"), get_args(Key), f"{where}: key"),
         resize=resize,
+        max_side=max_side,
     )
 
 

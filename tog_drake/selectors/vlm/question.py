@@ -45,6 +45,9 @@ class Question:
     expects: Options | Points
     marks: dict[str, int] = field(default_factory=dict)
     """Label -> row of ``Candidates.grasps``; empty where nothing is marked."""
+    check: Callable[["Answer"], object] = field(default=lambda answer: None, compare=False)
+    """Raises Unanswered for an answer that is well-formed and no use, such as a point on nothing;
+    the model is then asked once more."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,7 @@ class Api(Protocol):
 
     model: str  # as it is asked for
     max_tokens: int  # of an answer, reasoning included
+    effort: str | None  # of reasoning; None: the server's default
 
     @property
     def provider(self) -> str:

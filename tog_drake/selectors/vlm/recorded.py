@@ -5,7 +5,8 @@ It has the shape of a line of OpenAI's batch files::
     {"custom_id": key, "method": "POST", "url": "/v1/chat/completions", "body": {...},
      "response": {"status_code": 200, "body": {...}} or null,
      "error": {"code": "timed_out", "message": "..."} or null,
-     "tog": {"model", "profile", "prompt", "source", "seconds", "time"}}
+     "tog": {"model", "profile", "max_tokens", "effort", "prompt", "source", "seconds", "opencv",
+             "time"}}
 
 A line with neither response nor error is a question that waits for its answer. In ``body`` each
 image is "sha256:<hex>", the hash of its raw pixels.
@@ -21,12 +22,14 @@ from typing import Any, Literal, NoReturn, get_args
 
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.request import Request, image_token
+from tog_drake.selectors.vlm.specification import ModelConfig, check_model, read_specification
 from tog_drake.values import AnswerStatus
 
 Source = Literal["asked", "batch", "hand"]  # by tog_drake itself, by a batch API, by a person
 
 MAX_LINE = 32_000_000  # [byte]; images are not in it
 _KEY = re.compile(r"[0-9a-f]{64}(#[1-9][0-9]{0,5})?")
+_VERSION = re.compile(r"[\w.+-]{0,40}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,37 @@ class Recorded:
     error: tuple[AnswerStatus, str] | None = None  # why there is none, and what was said
     source: Source = "asked"
     seconds: float = 0.0  # latency
+    max_tokens: int = 4096  # of the model's config; that of a body may be a repair's
+    effort: str | None = None  # likewise
+    opencv: str = ""  # version that drew the images: another draws letters differently
 
     @staticmethod
     def of(request: Request) -> "Recorded":
         """Returns a question that waits for its answer."""
         body = request.api.body(request.message, image_token)
         path, prompt = request.api.path(), request.message.prompt
-        return Recorded(request.key, path, body, request.model, request.profile, prompt)
+        return Recorded(
+            request.key,
+            path,
+            body,
+            request.model,
+            request.profile,
+            prompt,
+            max_tokens=request.api.max_tokens,
+            effort=request.api.effort,
+            opencv=opencv_version(),
+        )
+
+    def config(self) -> ModelConfig:
+        """Returns the model that was asked, with the settings on which the key depends.
+
+        Raises:
+            InputError: what the line says of it makes no sense.
+        """
+        config = read_specification(self.model, self.profile)
+        config.max_tokens, config.effort = self.max_tokens, self.effort
+        check_model(config)
+        return config
 
     @property
     def pending(self) -> bool:
@@ -71,9 +98,12 @@ def write_entry(entry: Recorded) -> bytes:
         "tog": {
             "model": entry.model,
             "profile": entry.profile,
+            "max_tokens": entry.max_tokens,
+            "effort": entry.effort,
             "prompt": entry.prompt,
             "source": entry.source,
             "seconds": round(entry.seconds, 3),
+            "opencv": entry.opencv,
             "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         },
     }
@@ -102,6 +132,9 @@ def read_entry(data: bytes, where: str) -> Recorded:
             prompt=tog["prompt"],
             source=tog["source"],
             seconds=float(tog["seconds"]),
+            max_tokens=tog["max_tokens"],
+            effort=tog["effort"],
+            opencv=tog["opencv"],
         )
         wrong = list(_wrong(entry, response))
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
@@ -124,6 +157,10 @@ def _wrong(entry: Recorded, response: Any) -> Iterator[str]:
         yield f"source is none of {', '.join(get_args(Source))}"
     if not (isfinite(entry.seconds) and entry.seconds >= 0):
         yield "seconds is no duration"
+    if type(entry.max_tokens) is not int or not isinstance(entry.effort, str | None):
+        yield "max_tokens is no number or effort no text"
+    if not (isinstance(entry.opencv, str) and _VERSION.fullmatch(entry.opencv)):
+        yield "opencv is no version"
     if response is not None and response["status_code"] != 200:
         yield "a response is not of status 200"
     if response is not None and entry.response is None:
@@ -132,6 +169,13 @@ def _wrong(entry: Recorded, response: Any) -> Iterator[str]:
         entry.error[0] in get_args(AnswerStatus) and isinstance(entry.error[1], str)
     ):
         yield "error has no known code or no message"
+
+
+def opencv_version() -> str:
+    """Returns the version of OpenCV that draws the images here."""
+    import cv2
+
+    return cv2.__version__
 
 
 def read_json(data: bytes, where: str) -> Any:

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -18,8 +19,8 @@ from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
-from tog_drake.selectors.scene import Pick, Scene
-from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
+from tog_drake.selectors.scene import Nearest, Pick, Scene
+from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES
 from tog_drake.selectors.vlm.cassette import Cassette, Mode
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
@@ -28,7 +29,7 @@ from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.request import QuestionPending, Request
 from tog_drake.selectors.vlm.specification import ModelConfig, check_model
 from tog_drake.task import read_task
-from tog_drake.values import Candidates, Choice, Exchange, View, Workspace
+from tog_drake.values import Candidates, Choice, Exchange, Grasps, View, Workspace
 
 FALLBACKS = ("fail", "geometric")
 MAX_DEADLINE = 3600.0  # [s]
@@ -41,26 +42,31 @@ class Vlm:
     strategy: str = "gsi"  # gsi, cpsi, gmi, cpmi, cpg, pivot or avoid: see selectors/strategies.py
     model: ModelConfig | None = None  # whom to ask; replay needs none, the cassette names it
     rendering: str = "marked"  # marked: numbered discs and a close-up; paper: colours, as published
-    votes: int = 1  # 2: asked again with permuted marks; two different answers are none
+    votes: int = 1  # 2: asked again with permuted marks, if there are several; they must agree
+    nearest: str | None = None
+    """Which contact of a grasp counts where a model points: "contact" (as published: the one that
+    the grasp was proposed at) or "both" (the farther of the two, at most 6 cm away in the first
+    place). None: "contact" with the rendering "paper", else "both"."""
     fallback: str | None = None
     """Where no answer can be used: "fail" raises NoChoice, "geometric" lets the geometric selector
     choose and says so. None: "geometric" in `tog run` and `tog choose`, "fail" elsewhere."""
     deadline: float = 120.0  # [s] for all questions of a decision, retries and repairs included
     record: str | None = None  # a cassette: what is in it is not asked again, what is not is added
     replay: str | None = None  # a cassette: nothing is asked, what is not in it is an error
-    export: str | None = None  # a cassette: what is not in it is left to be asked elsewhere
 
 
 class VlmSelector:
     """Asks a model, and says what became of the question."""
 
-    def __init__(self, config: Vlm, workspace: Workspace, *, seed: int):
+    def __init__(self, config: Vlm, workspace: Workspace, *, seed: int, export: Path | None = None):
         """Prepares to ask; nothing is sent yet.
 
         Args:
             config: what to ask whom.
             workspace: for the geometric selector, should it have to step in.
             seed: of the order and the colours of the marks.
+            export: a cassette that takes the place of those of the config: nothing is sent, and
+                ``select`` raises QuestionPending where it has no answer.
 
         Raises:
             InputError: a field of the config is out of its bounds, or there is no model to ask.
@@ -69,7 +75,11 @@ class VlmSelector:
         self._config = config
         self._seed = seed
         self._geometric = GeometricSelector(Geometric(), workspace)
-        self._model, self._profile, self._client = _connect(config)
+        self._model, self._profile, self._client = _connect(config, export)
+
+    def check_key(self) -> None:
+        """Raises InputError where the model will be asked for sure, and its key is missing."""
+        self._client.check_key()
 
     def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
         """Returns the grasp that the model's answers single out, or what the fallback chooses.
@@ -79,20 +89,14 @@ class VlmSelector:
                 could not choose either; with its status and what was said.
             NoGrasp: there is no feasible grasp.
             QuestionPending: a question is to be asked elsewhere.
-            InputError: the task is empty, there are more candidates than colours, a question is
-                not on the cassette, or a key is missing.
+            InputError: the task is empty, there are more candidates than colours, the view is too
+                large for the model, a question is not on the cassette, or a key is missing.
         """
         read_task(task)
         if len(candidates) == 0:
             raise NoGrasp("There is no feasible grasp to choose from.")
-        scene = Scene(
-            view=view,
-            points=np.asarray(cloud.xyzs().T, dtype=np.float64),
-            candidates=candidates,
-            task=task,
-            rendering="paper" if self._config.rendering == "paper" else "marked",
-            seed=self._seed,
-        )
+        scene = self._scene(view, cloud, candidates, task)
+        self._check_size(scene)
         dialogue = Dialogue(
             self._client,
             self._profile,
@@ -102,8 +106,6 @@ class VlmSelector:
         try:
             pick = self._vote(scene, dialogue)
         except Unanswered as error:
-            if error.status in ("off_image", "off_object"):
-                dialogue.blame(error)
             problem = NoChoice(str(error), status=error.status)
         except NoChoice as error:
             problem = error
@@ -112,12 +114,38 @@ class VlmSelector:
             return replace(choice, exchanges=dialogue.exchanges, pointed=pick.pointed)
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
 
+    def _scene(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Scene:
+        rendering: Rendering = "paper" if self._config.rendering == "paper" else "marked"
+        nearest = self._config.nearest or ("contact" if rendering == "paper" else "both")
+        return Scene(
+            view=view,
+            points=np.asarray(cloud.xyzs().T, dtype=np.float64),
+            candidates=candidates,
+            task=task,
+            rendering=rendering,
+            seed=self._seed,
+            nearest="contact" if nearest == "contact" else "both",
+        )
+
+    def _check_size(self, scene: Scene) -> None:
+        """Raises InputError where the model is to tell pixels of an image that it sees resized."""
+        size, most = scene.framing(Grasps.empty()).size, self._profile.max_side
+        if self._config.strategy in POINTING and most is not None and max(size) > most:
+            raise InputError(
+                f"the view is {size[0]}×{size[1]} pixels large, and models of the profile "
+                f"{self._profile.name} tell the pixels of images up to {most} on the long side: "
+                "use rendering: marked (--rendering marked), which is sent smaller, or a smaller "
+                "view"
+            )
+
     def _vote(self, scene: Scene, dialogue: Dialogue) -> Pick:
         """Returns the pick on which all votes agree."""
         strategy = STRATEGIES[self._config.strategy]
         picks: list[Pick] = []
         pending: list[Request] = []  # the votes do not wait for each other
-        for vote in range(self._config.votes):
+        # A single candidate cannot be permuted: a second question would be the same.
+        votes = self._config.votes if len(scene.candidates.index) > 1 else 1
+        for vote in range(votes):
             try:
                 picks.append(strategy(replace(scene, permutation=vote), dialogue.ask))
             except QuestionPending as question:
@@ -162,12 +190,12 @@ class VlmSelector:
         )
 
 
-def _connect(config: Vlm) -> tuple[ModelConfig, Profile, Client]:
+def _connect(config: Vlm, export: Path | None) -> tuple[ModelConfig, Profile, Client]:
     """Returns whom to ask and by what; a cassette that is replayed names its model itself."""
-    files: dict[Mode, str | None] = {
+    files: dict[Mode, Path | str | None] = {
+        "export": export,
         "replay": config.replay,
         "record": config.record,
-        "export": config.export,
     }
     cassette = next((Cassette(file, mode) for mode, file in files.items() if file), None)
     model = config.model
@@ -188,6 +216,8 @@ def _check(config: Vlm) -> None:
     """Raises InputError for a field that is out of its bounds."""
     _one_of("strategy", config.strategy, STRATEGIES)
     _one_of("rendering", config.rendering, get_args(Rendering))
+    if config.nearest is not None:
+        _one_of("nearest", config.nearest, get_args(Nearest))
     if config.fallback is not None:
         _one_of("fallback", config.fallback, FALLBACKS)
     if config.votes not in (1, 2):
@@ -201,9 +231,8 @@ def _check(config: Vlm) -> None:
         raise InputError(
             f"!Vlm: deadline: {config.deadline:g}; valid: above 0, at most {MAX_DEADLINE:g} s"
         )
-    files = [name for name in ("record", "replay", "export") if getattr(config, name) is not None]
-    if len(files) > 1:
-        raise InputError(f"!Vlm: {' and '.join(files)} are given; valid: one of them")
+    if config.record is not None and config.replay is not None:
+        raise InputError("!Vlm: record and replay are given; valid: one of them")
 
 
 def _one_of(field: str, given: str, valid: Iterable[str]) -> None:

@@ -62,7 +62,7 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
 
     Raises:
         Rejected: the server does not take the request.
-        Unanswered: timed_out, unreachable, truncated or too_long. No message holds any part of a
+        Unanswered: timed_out, unreachable or too_long. No message holds any part of a
             key, even where the server repeats it.
     """
     data = json.dumps(body).encode()
@@ -130,6 +130,11 @@ def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes)
                 stream=True,
             ) as response:
                 text = _text_of(response, deadline)
+    except requests.exceptions.SSLError as error:
+        what = f"{_host(url)} does not speak https; is it http://?"
+        if "CERTIFICATE" in str(error).upper():
+            what = f"the certificate of {_host(url)} is not valid"
+        raise Unanswered("unreachable", what) from None
     except ValueError as error:  # errors of requests among them
         message = f"{_host(url)} cannot be asked ({type(error).__name__}); is its URL right?"
         raise Unanswered("rejected", message) from None
@@ -159,7 +164,7 @@ def _text_of(response: "Response", deadline: float) -> str:
                 raise Unanswered("timed_out", "the answer is not complete at the deadline")
     except RequestException as error:
         message = f"the connection was cut in the answer ({type(error).__name__})"
-        raise _Again(Unanswered("truncated", message)) from None
+        raise _Again(Unanswered("unreachable", message)) from None
     return received.decode("utf-8", errors="replace")
 
 
@@ -189,13 +194,19 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
         raise _Again(Unanswered("unreachable", message), _asked_delay(response, body))
     if code >= 500:
         raise Unanswered("unreachable", message)
-    raise Rejected(message + _HINTS.get(code, ""), code, quoted(complaint, secrets, 1000))
+    raise Rejected(message + _hint(code, url), code, quoted(complaint, secrets, 1000))
+
+
+def _hint(code: int, url: str) -> str:
+    if code == 404 and urlsplit(url).path.endswith("/chat/completions"):
+        return "; are the URL (most end in /v1) and the model's name right?"
+    return _HINTS.get(code, "")
 
 
 _HINTS = {
     401: "; is the key right, and sent over https?",
     403: "; may the key use this model?",
-    404: "; are the URL (most end in /v1) and the model's name right?",
+    404: "; are the URL and the model's name right?",
     413: "; smaller or fewer images may help",
 }
 
