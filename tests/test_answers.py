@@ -253,8 +253,7 @@ def test_a_final_answer_without_a_label_is_none_whatever_was_said_before(said, n
     assert _read("\n".join(said), SIX) in ("empty", "unreadable", "out_of_range")
 
 
-EXPLICIT = r"""(?ix)["']?(?:choice|answer|best|selected|grasp|number|candidate|label|id)["']?\s*:
-    | answer\W+is | final\s+answer | \b(?:choose|pick|take|best|choice)\b"""
+CHOOSING = re.compile(r"(?i)choose|pick|take|best|choice|answer")
 
 
 WORDS = (
@@ -272,10 +271,11 @@ def test_what_is_read_from_any_words_was_said_to_be_chosen(words):
     answer = _read(text, SIX)
     if answer in SIX.labels:
         assert answer in words
-        bare = {w for w in words if w.isalnum()} <= {answer, "grasp", "the", "image", "choice"}
-        assert bare or re.search(EXPLICIT, text) or words[0] in (answer, "grasp", "the", "image")
-        ends = [i for i, w in enumerate(words) if w == answer]
-        assert not {"reject", "not", "worst", "none", "but", "if", "?"} & set(words[ends[-1] + 1 :])
+        last = re.split(r"[.!?](?=\s)|\n", text.rstrip(" .!\n"))[-1]
+        before = re.findall(r"\w+", last.partition(answer)[0])
+        assert CHOOSING.search(text) or set(before) <= {"the", "grasp", "image"}
+        after = set(re.split(r"[.!]|\n", text.rpartition(answer)[2])[0].split())
+        assert not {"reject", "not", "worst", "none", "but", "if", "?"} & after
 
 
 def test_long_reasoning_does_not_make_an_answer_too_long():

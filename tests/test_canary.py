@@ -187,19 +187,19 @@ def test_text_around_an_answer_is_told_but_no_problem():
 
 
 @pytest.mark.parametrize(
-    ("mishap", "said"),
+    ("mishap", "said", "deadline"),
     [
-        (status(401), "rejected: "),
-        (status(404), "rejected: "),
-        (html(200), "unreachable: "),
-        (hang, "timed_out: "),
+        (status(401), "rejected: ", "10"),
+        (status(404), "rejected: ", "10"),
+        (html(200), "unreachable: ", "10"),
+        (hang, "timed_out: ", "0.3"),
     ],
 )
-def test_a_server_that_does_not_answer_is_said_once_and_in_time(mishap, said):
+def test_a_server_that_does_not_answer_is_said_once_and_in_time(mishap, said, deadline):
     with VlmServer(seeing()) as server:
         server.misbehave(mishap, always=True)
         start = time.monotonic()
-        done, found = check(server, "--deadline", "0.3")
+        done, found = check(server, "--deadline", deadline)
         assert time.monotonic() - start < 20.0  # no measure of speed: it hangs for good otherwise
     assert done.status == 1
     assert list(found) == ["reachable"]

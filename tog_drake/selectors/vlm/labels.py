@@ -114,7 +114,7 @@ _NOUN = (
     r"(?:grasp|gripper|hand|candidate|option|choice|image|picture|dot|mark|marker|number|label|disc"
     r"|contact|point|colou?r|index)\b"
 )
-_LABEL = rf"(?:\d{{1,9}}|[a-z]{{1,40}}\b(?:\s(?:one|{_NOUN}))?)"
+_LABEL = rf"(?:(\d{{1,9}})(?!\d)|([a-z]{{1,40}})\b(?:\s(?:one|{_NOUN}))?)"
 _REASON = r"\W{0,3}(?:because|since|as|for)\b.*|\s?[,;:(–—-].*"
 _ALONE = re.compile(
     rf"{_GAP}(?:so\b{_GAP})?(?:the\b{_GAP})?(?:{_NOUN}{_GAP}){{0,2}}{_LABEL}{_CLOSE}(?:{_REASON})?",
@@ -151,7 +151,9 @@ def _chosen_by(sentence: str, by_word: dict[str, str], *, told: bool = False) ->
     label = _label_in(sentence, by_word)
     if label is None:
         return None
-    alone = _ALONE.fullmatch(sentence) is not None
+    match = _ALONE.fullmatch(sentence)
+    word = next(filter(None, match.groups()), "") if match else ""
+    alone = by_word.get(str(int(word)) if word.isdigit() else word.lower()) == label
     says_so = alone or told or _CHOOSES.search(sentence)
     doubted = "?" in sentence or _DOUBT.search(_POLITE.sub("", sentence))
     counts = not alone and _COUNT.search(sentence)
@@ -289,10 +291,10 @@ def _in_sentences(text: str, by_word: dict[str, str]) -> str:
 
 
 def _choices_in(sentences: list[str], by_word: dict[str, str]) -> set[str]:
-    """Returns the labels that sentences choose."""
+    """Returns the labels that sentences choose, or that stand alone in one."""
     chosen = set()
     for sentence in sentences:
-        if _CHOOSES.search(sentence):
+        if _CHOOSES.search(sentence) or _ALONE.fullmatch(sentence):
             try:
                 chosen.add(_chosen_by(sentence, by_word))
             except Unanswered:
