@@ -548,10 +548,10 @@ def _asked(outcome, status, fallback=None, message=""):
 
 def test_why_there_was_no_choice_and_what_the_fallback_did_is_in_the_table():
     failed = [_asked("no_choice", s) for s in ("refused", "unreachable", "unreachable")]
-    (row, _) = evaluation.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
+    (row, _) = summary.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
     assert row["failures"] == "3 no_choice (unreachable 2, refused 1), 1 slipped"
     replaced = [_asked("lifted", "timed_out", "geometric"), _asked("empty", "empty", "geometric")]
-    (row, _) = evaluation.summarize([*replaced, _asked("lifted", "ok")])
+    (row, _) = summary.summarize([*replaced, _asked("lifted", "ok")])
     assert row["failures"] == "1 empty, by fallback 2 (timed_out 1, empty 1)"
 
 
