@@ -95,10 +95,10 @@ def test_a_key_is_in_nothing_that_the_command_prints_or_writes(answer, tmp_path)
 
 
 def test_a_key_that_a_model_repeats_is_not_in_the_report():
-    with VlmServer(lambda text, images: f"{KEY}: red") as server:
+    with VlmServer(lambda text, images: f"{KEY}\nFinal answer: red") as server:
         choice = select(url=server.base_url("openai"))
     (exchange,) = choice.exchanges
-    assert exchange.answer == "[key]: red"
+    assert exchange.answer == "[key]\nFinal answer: red"
     shows_no_key(repr(choice))
     record = {"task": "use it", "choice": {"reason": choice.reason}}
     shows_no_key(report_html([EpisodeReport(record, exchanges=choice.exchanges)]))
