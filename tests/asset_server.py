@@ -8,11 +8,12 @@ with AssetServer({"/google/thing.tgz": data}) as server:
 import contextlib
 import hashlib
 import re
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
+
+from loopback import LoopbackServer
 
 
-class AssetServer:
+class AssetServer(LoopbackServer):
     """The server, while the ``with`` lasts.
 
     Args:
@@ -22,26 +23,10 @@ class AssetServer:
     """
 
     def __init__(self, files, *, tags=True, ranges=True):
+        super().__init__(_Handler)
         self.files, self.tags, self.ranges = dict(files), tags, ranges
         self.asked = []
-        self.closing = threading.Event()
         self._script = iter(())
-        self._http = _Http(("127.0.0.1", 0), _Handler)
-        self._http.assets = self
-        self.url = f"http://127.0.0.1:{self._http.server_address[1]}"
-        self._thread = threading.Thread(
-            target=self._http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
-        )
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind, error, trace):
-        self.closing.set()
-        self._http.shutdown()
-        self._http.server_close()
-        self._thread.join()
 
     def misbehave(self, *mishaps):
         """The next requests meet these, one each (None: a good answer)."""
@@ -51,14 +36,6 @@ class AssetServer:
         return next(self._script, None)
 
 
-class _Http(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-
-    def handle_error(self, request, client_address):
-        """A client that went away is none."""
-
-
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
@@ -66,7 +43,7 @@ class _Handler(BaseHTTPRequestHandler):
         pass
 
     def do_GET(self):
-        assets = self.server.assets
+        assets = self.server.owner
         self.close_connection = True
         assets.asked.append((self.path, self.headers.get("Range")))
         mishap = assets.next_mishap()
@@ -80,7 +57,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def good(self, first=None, length=None):
         """The file or its rest; of it the ``first`` bytes alone, and with a wrong ``length``."""
-        data = self.server.assets.files[self.path]
+        data = self.server.owner.files[self.path]
         tag = f'"{hashlib.md5(data).hexdigest()}"'
         start = self._start(tag, len(data))
         code, headers = 200, {}
@@ -88,14 +65,14 @@ class _Handler(BaseHTTPRequestHandler):
             code = 206
             headers["Content-Range"] = f"bytes {start}-{len(data) - 1}/{len(data)}"
             data = data[start:]
-        if self.server.assets.tags:
+        if self.server.owner.tags:
             headers["ETag"] = tag
         self.head(code, len(data) if length is None else length, headers)
         self.wfile.write(data if first is None else data[:first])
 
     def _start(self, tag, size):
         match = re.fullmatch(r"bytes=(\d+)-", self.headers.get("Range", ""))
-        if not match or not self.server.assets.ranges or int(match[1]) >= size:
+        if not match or not self.server.owner.ranges or int(match[1]) >= size:
             return None
         return int(match[1]) if self.headers.get("If-Range") in (None, tag) else None
 
@@ -141,33 +118,33 @@ def html(handler):
 
 def hang(handler):
     """Takes the request and says nothing."""
-    handler.server.assets.closing.wait(20)
+    handler.server.owner.closing.wait(20)
 
 
 def trickle(handler):
     """A byte now and then: no socket ever times out."""
-    data = handler.server.assets.files[handler.path]
+    data = handler.server.owner.files[handler.path]
     handler.head(200, len(data), {})
     for i in range(len(data)):
         handler.wfile.write(data[i : i + 1])
-        if handler.server.assets.closing.wait(0.02):
+        if handler.server.owner.closing.wait(0.02):
             return
 
 
 def wrong_range(handler):
     """A rest, but not the one that was asked for."""
-    data = handler.server.assets.files[handler.path]
+    data = handler.server.owner.files[handler.path]
     handler.answer(206, data[:100], {"Content-Range": f"bytes 0-99/{len(data)}"})
 
 
 def cut_chunked(handler):
     """Half of it, where the length is not told but every piece is announced."""
-    data = handler.server.assets.files[handler.path]
+    data = handler.server.owner.files[handler.path]
     handler.head(200, None, {"Transfer-Encoding": "chunked"})
     handler.wfile.write(b"%x\r\n%s" % (len(data), data[: len(data) // 2]))
 
 
 def chunked(handler):
-    data = handler.server.assets.files[handler.path]
+    data = handler.server.owner.files[handler.path]
     handler.head(200, None, {"Transfer-Encoding": "chunked"})
     handler.wfile.write(b"%x\r\n%s\r\n0\r\n\r\n" % (len(data), data))

@@ -18,10 +18,11 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 
 import cv2
 import numpy as np
+from loopback import LoopbackServer
 from vlm_protocols import PROTOCOLS, Refusal
 
 KEY = "planted-key-0123456789abcdef"
@@ -62,7 +63,7 @@ class Spoken:
     refusal: str | None = None
 
 
-class VlmServer:
+class VlmServer(LoopbackServer):
     """The server, while the ``with`` lasts.
 
     Args:
@@ -74,29 +75,15 @@ class VlmServer:
     """
 
     def __init__(self, answer, *, key=KEY, lacks=(), model="served-model-1"):
+        super().__init__(_Handler)
         self.answer, self.key, self.lacks, self.model = answer, key, frozenset(lacks), model
         self.received: list[Received] = []
         self.errors: list[Exception] = []
-        self.closing = threading.Event()
         self._script: Iterator[Callable | None] = iter(())
         self._lock = threading.Lock()
-        self._http = _Http(("127.0.0.1", 0), _Handler)
-        self._http.vlm = self
-        self.port = self._http.server_address[1]
-        self.url = f"http://127.0.0.1:{self.port}"
-        self._thread = threading.Thread(
-            target=self._http.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
-        )
-
-    def __enter__(self):
-        self._thread.start()
-        return self
 
     def __exit__(self, kind, error, trace):
-        self.closing.set()
-        self._http.shutdown()
-        self._http.server_close()
-        self._thread.join()
+        super().__exit__(kind, error, trace)
         if kind is None and self.errors:
             raise self.errors[0]
 
@@ -132,7 +119,7 @@ def status(code, headers=None, body=None):
 
 def hang(handler, spoken):
     """Takes the request and says nothing."""
-    handler.server.vlm.closing.wait(30)
+    handler.server.owner.closing.wait(30)
 
 
 def trickle(handler, spoken):
@@ -151,7 +138,7 @@ def _drip(handler, data):
     with contextlib.suppress(OSError):
         for i in range(len(data)):
             handler.wfile.write(data[i : i + 1])
-            if handler.server.vlm.closing.wait(0.02):
+            if handler.server.owner.closing.wait(0.02):
                 return
 
 
@@ -221,7 +208,7 @@ def says(**changes):
 
     def mishap(handler, spoken):
         said = Spoken(**{**vars(spoken), **changes})
-        handler.send(200, json.dumps(handler.protocol.reply(said, handler.server.vlm)).encode())
+        handler.send(200, json.dumps(handler.protocol.reply(said, handler.server.owner)).encode())
 
     return mishap
 
@@ -229,14 +216,6 @@ def says(**changes):
 def huge(handler, spoken):
     """Ten megabytes of text."""
     says(text="grasp " * (10 * 2**20 // 6))(handler, spoken)
-
-
-class _Http(ThreadingHTTPServer):
-    daemon_threads = True
-    block_on_close = False
-
-    def handle_error(self, request, client_address):
-        """A client that went away is none."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -250,7 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send(405, b"{}")
 
     def do_POST(self):
-        vlm = self.server.vlm
+        vlm = self.server.owner
         self.close_connection = True
         raw = self.rfile.read(int(self.headers.get("Content-Length", 0)))
         received = Received(None, self.path, {k.lower(): v for k, v in self.headers.items()}, {})
@@ -285,7 +264,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _checked(self, raw):
         if self.headers.get("Content-Type") != "application/json":
             raise Refusal(415, "Content-Type must be application/json")
-        self.protocol.check_key(self.headers, self.server.vlm.key)
+        self.protocol.check_key(self.headers, self.server.owner.key)
         try:
             body = json.loads(raw)
         except ValueError as error:
@@ -296,7 +275,7 @@ class _Handler(BaseHTTPRequestHandler):
         return body
 
     def _check_lacks(self, body):
-        for name in self.server.vlm.lacks:
+        for name in self.server.owner.lacks:
             if self.protocol.has(body, name):
                 raise Refusal(400, self.protocol.lacks(name), name)
 
@@ -305,7 +284,7 @@ class _Handler(BaseHTTPRequestHandler):
         return value and value.removeprefix("Bearer ")
 
     def good(self, spoken):
-        return json.dumps(self.protocol.reply(spoken, self.server.vlm)).encode()
+        return json.dumps(self.protocol.reply(spoken, self.server.owner)).encode()
 
     def send_error_body(self, code, message, param=None, extra=None):
         self.send(code, json.dumps(self.protocol.error(code, message, param)).encode(), extra)

@@ -8,6 +8,7 @@ from pydrake.geometry import (
     ProximityProperties,
     RoleAssign,
     SceneGraph,
+    SceneGraphInspector,
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
@@ -34,7 +35,7 @@ def prepare_contacts(plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
     """
     inspector = scene_graph.model_inspector()
     cores, skins, others = GeometrySet(), GeometrySet(), GeometrySet()
-    has_core = False
+    has_core, to_meet_cores = False, []
     for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
         geometries = plant.GetCollisionGeometriesForBody(body)
         names = {g: inspector.GetName(g).rpartition("::")[2] for g in geometries}
@@ -43,32 +44,27 @@ def prepare_contacts(plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
             has_core = has_core or name == CORE
             if geometry in skin:
                 skins.Add(geometry)
-            else:
-                others.Add(geometry)
-                if name == CORE and skin:
-                    cores.Add(geometry)
+                continue
+            others.Add(geometry)
+            if name == CORE and skin:
+                cores.Add(geometry)
+            soft = plant.IsAnchored(body) and _modulus(inspector, geometry) < MODULUS
+            if soft or body.name() in FINGER_BODIES:
+                to_meet_cores.append(geometry)
     if not has_core:
         return
     manager = scene_graph.collision_filter_manager()
     manager.Apply(CollisionFilterDeclaration().ExcludeBetween(skins, others).ExcludeWithin(cores))
-    for geometry in _to_meet_cores(plant, scene_graph):
+    for geometry in to_meet_cores:
         _make_compliant(plant, scene_graph, geometry)
 
 
-def _to_meet_cores(plant: MultibodyPlant, scene_graph: SceneGraph) -> list[GeometryId]:
-    """The fingers, and whatever is anchored and too soft."""
-    inspector = scene_graph.model_inspector()
-    found = []
-    for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
-        for geometry in plant.GetCollisionGeometriesForBody(body):
-            properties = inspector.GetProximityProperties(geometry)
-            modulus = properties.GetPropertyOrDefault(
-                "hydroelastic", "hydroelastic_modulus", float("inf")
-            )
-            soft = plant.IsAnchored(body) and modulus < MODULUS
-            if soft or body.name() in FINGER_BODIES:
-                found.append(geometry)
-    return found
+def _modulus(inspector: SceneGraphInspector, geometry: GeometryId) -> float:
+    """The hydroelastic modulus [Pa]; infinite for what is rigid or has none."""
+    properties = inspector.GetProximityProperties(geometry)
+    return float(
+        properties.GetPropertyOrDefault("hydroelastic", "hydroelastic_modulus", float("inf"))
+    )
 
 
 def _make_compliant(plant: MultibodyPlant, scene_graph: SceneGraph, geometry: GeometryId) -> None:
