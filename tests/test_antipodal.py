@@ -18,10 +18,11 @@ from tog_drake.pinhole import project
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.hypotheses import thinned_surface
 from tog_drake.table import find_table
-from tog_drake.values import Workspace
+from tog_drake.values import View, Workspace
 
 STEP = 0.003  # [m] between sampled points
 UP = np.array([0.0, 0.0, 1.0])
+NO_VIEW = View.empty()
 
 
 # -- surfaces: points (N, 3) and normals (N, 3) --------------------------------------------------
@@ -93,13 +94,13 @@ QUICK = {"anchors": 40, "max_anchors": 40, "tilts_deg": [40.0]}  # enough for si
 
 def propose(*surfaces, seed=0, **config):
     config = Antipodal(**{**QUICK, **config})
-    return AntipodalProposer(config, Workspace(), seed).propose(cloud_of(*surfaces))
+    return AntipodalProposer(config, Workspace(), seed).propose(cloud_of(*surfaces), NO_VIEW)
 
 
 @cache
 def by_default(shape):
     """The grasps of one of SHAPES with the default config."""
-    return AntipodalProposer(Antipodal(), Workspace(), 0).propose(cloud_of(SHAPES[shape]))
+    return AntipodalProposer(Antipodal(), Workspace(), 0).propose(cloud_of(SHAPES[shape]), NO_VIEW)
 
 
 # -- what a grasp must satisfy, said again in other words ----------------------------------------
@@ -338,7 +339,7 @@ def test_the_contact_is_on_the_surface_and_at_a_finger(shape):
 def test_a_raised_table_is_kept_clear_too():
     raised = BAR[0] + [0, 0, 0.2], BAR[1]
     proposer = AntipodalProposer(Antipodal(**QUICK), Workspace(table_height=0.2), 0)
-    grasps = proposer.propose(cloud_of(raised))
+    grasps = proposer.propose(cloud_of(raised), NO_VIEW)
     assert len(grasps) > 50
     lowest = [lowest_z_of_the_hand(X, w) for X, w in zip(grasps.X_WG, grasps.width, strict=True)]
     assert min(lowest) > 0.203
@@ -375,7 +376,7 @@ def test_turning_and_moving_the_bar_on_the_table_turns_and_moves_its_grasps(angl
 
 
 def test_an_empty_cloud_gets_no_grasp():
-    assert len(AntipodalProposer(Antipodal(), Workspace(), 0).propose(PointCloud(0))) == 0
+    assert len(AntipodalProposer(Antipodal(), Workspace(), 0).propose(PointCloud(0), NO_VIEW)) == 0
 
 
 def test_a_handful_of_points_is_no_error():
@@ -409,7 +410,7 @@ def test_on_recorded_views_the_thing_that_is_meant_gets_grasps(
     table = find_table(view)
     view = replace(view, X_WC=table.X_WC)
     cloud = scene_cloud(view, table.workspace, CloudConfig())
-    grasps = AntipodalProposer(Antipodal(), table.workspace, 0).propose(cloud)
+    grasps = AntipodalProposer(Antipodal(), table.workspace, 0).propose(cloud, view)
     at = project(grasps.p_WContact, view.intrinsics, view.X_WC)
     on_thing = np.linalg.norm(at - pixel, axis=1) < radius
     assert np.count_nonzero(on_thing) >= 10

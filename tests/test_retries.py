@@ -27,8 +27,8 @@ class _WithBadOnesFirst:
     def __init__(self, proposer):
         self._proposer = proposer
 
-    def propose(self, cloud):
-        good = self._proposer.propose(cloud)
+    def propose(self, cloud, view):
+        good = self._proposer.propose(cloud, view)
         bad = good.take(np.zeros(3, np.int64))
         bad.X_WG[:, 2, 3] += TOO_HIGH + np.array([0.0, 0.01, 0.02])
         bad = replace(bad, score=np.array([1.0, 0.999, 0.998]))

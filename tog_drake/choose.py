@@ -61,7 +61,7 @@ def choose_on_view(
         raise InputError(str(error)) from error  # here the view is what was given
     decision.cloud = cloud
     try:
-        grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud))
+        grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud, view))
         decision.grasps = grasps
         if len(grasps) == 0:
             raise NoGrasp(

@@ -69,7 +69,7 @@ def test_2_cloud(looked, benchmark):
 
 def test_3_propose(looked, benchmark):
     config, _, _, decision, *_ = looked
-    benchmark(make_proposer(config, 0).propose, decision.cloud)
+    benchmark(make_proposer(config, 0).propose, decision.cloud, decision.view)
 
 
 def test_4_filter_200_grasps(looked, benchmark):

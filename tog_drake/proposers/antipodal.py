@@ -31,7 +31,7 @@ from tog_drake.proposers.hypotheses import (
     thinned_surface,
 )
 from tog_drake.proposers.profile import REACH, SLAB, profiles, walk_outwards
-from tog_drake.values import Array, Grasps, Workspace
+from tog_drake.values import Array, Grasps, View, Workspace
 
 
 @dataclass
@@ -88,8 +88,8 @@ class AntipodalProposer:
         self._table = workspace.table_height
         self._seed = seed
 
-    def propose(self, cloud: PointCloud) -> Grasps:
-        """Returns grasps, best first, possibly none."""
+    def propose(self, cloud: PointCloud, view: View) -> Grasps:
+        """Returns grasps, best first, possibly none. The view is not used."""
         if cloud.size() == 0:
             return Grasps.empty()
         config = self._config
