@@ -22,6 +22,7 @@ from tog_drake.options import (
     NoiseOption,
     ProfileOption,
     ProposerOption,
+    ProposerOptions,
     RecordOption,
     RenderingOption,
     ReplayOption,
@@ -263,6 +264,7 @@ def evaluate_(
     record: RecordOption = None,
     replay: ReplayOption = None,
     deadline: DeadlineOption = None,
+    proposer: ProposerOption = None,
     scenarios: Annotated[
         str,
         typer.Option(
@@ -310,7 +312,14 @@ def evaluate_(
         noise=noise,
         text=scenario_text,
     )
-    records = evaluate(cells, workers=workers, out=out, console=console, options=options)
+    records = evaluate(
+        cells,
+        workers=workers,
+        out=out,
+        console=console,
+        options=options,
+        proposer=ProposerOptions(proposer),
+    )
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)
     print_rates(console, rows)
@@ -493,10 +502,8 @@ def _load(
 
 def _override(config: "PipelineConfig", proposer: str | None, k: str | None) -> None:
     from tog_drake.candidates import candidate_counts
-    from tog_drake.pipeline import PROPOSERS
 
-    if proposer is not None:
-        valid(proposer, PROPOSERS, "proposer")
+    ProposerOptions(proposer).apply(config)
     if k is not None:
         config.candidates.k = k
         candidate_counts(config.candidates)  # a wrong K is refused before anything starts

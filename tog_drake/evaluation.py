@@ -22,7 +22,7 @@ from tog_drake.errors import InputError, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
-from tog_drake.options import SelectorOptions
+from tog_drake.options import ProposerOptions, SelectorOptions
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.suite import SCENARIO, load_suite, suite_files
@@ -41,6 +41,7 @@ TASKS = {
     "part": "pick up the {object} by its {part}",
 }
 DEFAULT = SelectorOptions()
+OF_SCENARIO = ProposerOptions()
 
 Job = TypeVar("Job")
 T = TypeVar("T")
@@ -159,6 +160,7 @@ def evaluate(
     out: Path,
     console: Console,
     options: SelectorOptions = DEFAULT,
+    proposer: ProposerOptions = OF_SCENARIO,
 ) -> list[EpisodeRecord]:
     """Runs the episodes in ``workers`` processes; the records come in the order of the cells.
 
@@ -171,6 +173,7 @@ def evaluate(
         out: folder.
         console: for the progress.
         options: how a model is asked; they hold for the cells of the selector "vlm".
+        proposer: who proposes grasps, in all cells.
 
     Raises:
         InputError: a model cannot be asked so; nothing has been run then.
@@ -178,15 +181,16 @@ def evaluate(
             questions (a wrong key, a wrong model): every further episode would end likewise.
     """
     for cell in {(cell.scenario, cell.selector): cell for cell in cells}.values():
-        _configured(cell, options)
+        _configured(cell, options, proposer)
     records: list[EpisodeRecord] = []
     out.mkdir(parents=True, exist_ok=True)
     for picture in (out / "failures").glob("*.png"):
         picture.unlink()
+    run = partial(_run, out=out, options=options, proposer=proposer)
     with (
         (out / "episodes.jsonl").open("w", encoding="utf-8") as file,
         Progress(console=console) as progress,
-        closing(in_processes(partial(_run, out=out, options=options), cells, workers)) as results,
+        closing(in_processes(run, cells, workers)) as results,
     ):
         bar = progress.add_task("episodes", total=len(cells))
         for judged in results:
@@ -250,17 +254,20 @@ def cell_scenario(cell: Cell) -> Scenario:
     return scenario
 
 
-def _configured(cell: Cell, options: SelectorOptions) -> Scenario:
-    """Returns the scenario of a cell with its selector; what the scenario says of it stays."""
+def _configured(cell: Cell, options: SelectorOptions, proposer: ProposerOptions) -> Scenario:
+    """Returns the scenario of a cell with selector and proposer; what it says of them stays."""
     scenario = cell_scenario(cell)
     of_cell = options if cell.selector == "vlm" else DEFAULT
     replace(of_cell, selector=cell.selector).apply(scenario.pipeline)
+    proposer.apply(scenario.pipeline)
     return scenario
 
 
-def _run(cell: Cell, out: Path, options: SelectorOptions) -> list[EpisodeRecord]:
+def _run(
+    cell: Cell, out: Path, options: SelectorOptions, proposer: ProposerOptions
+) -> list[EpisodeRecord]:
     try:
-        scenario = _configured(cell, options)
+        scenario = _configured(cell, options, proposer)
         episode = run_episode(scenario, name=cell.scenario, task=cell.tasks[0], target=cell.object)
     except InputError as error:
         raise InputError(f"{cell.name}: {error}") from error

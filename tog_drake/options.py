@@ -34,7 +34,9 @@ ScenarioText = Annotated[
     str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
 ]
 TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
-ProposerOption = Annotated[str | None, typer.Option(help="antipodal")]
+ProposerOption = Annotated[
+    str | None, typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH.")
+]
 KOption = Annotated[
     str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
 ]
@@ -176,6 +178,45 @@ class SelectorOptions:
                 raise InputError("--profile says how a model tells places; valid: with --vlm MODEL")
             config.model.profile = self.profile
         return self.replay
+
+
+@dataclass(frozen=True)
+class ProposerOptions:
+    """Who proposes grasps; None leaves the scenario's setting."""
+
+    proposer: str | None = None  # a name, or file:PATH
+
+    def apply(self, config: "PipelineConfig") -> None:
+        """Puts the options into the config of a pipeline; its other settings stay.
+
+        Raises:
+            InputError: an unknown name, or a proposer that cannot be made.
+        """
+        from tog_drake.pipeline import PROPOSERS, make_proposer
+
+        if self.proposer is None:
+            return
+        name, colon, rest = self.proposer.partition(":")
+        place = _PLACES.get(name)
+        if bool(colon) != (place is not None) or (colon and not rest):
+            raise InputError(f"unknown proposer {self.proposer!r}; valid: {_proposer_forms()}")
+        kind = valid(name, PROPOSERS, "proposer")
+        if not isinstance(config.proposer, kind):
+            config.proposer = kind()
+        if place is not None:
+            setattr(config.proposer, place, rest)
+        make_proposer(config, 0)  # hears what is wrong before anything starts
+
+
+_PLACES = {"file": "path"}  # the field of a config that comes after the colon
+
+
+def _proposer_forms() -> str:
+    from tog_drake.pipeline import PROPOSERS
+
+    return ", ".join(
+        f"{name}:{_PLACES[name].upper()}" if name in _PLACES else name for name in PROPOSERS
+    )
 
 
 def names(text: str) -> list[str]:

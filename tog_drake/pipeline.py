@@ -19,6 +19,7 @@ from tog_drake.panda import MAX_OPENING
 from tog_drake.planning_model import PlanningModel
 from tog_drake.proposer import GraspProposer, Proposer
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
+from tog_drake.proposers.file import File, FileProposer
 from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
@@ -47,7 +48,8 @@ SELECTORS: dict[str, type[SelectorConfig]] = {
     "oracle": Oracle,
     "vlm": Vlm,
 }
-PROPOSERS: dict[str, type[Antipodal]] = {"antipodal": Antipodal}
+ProposerConfig = Antipodal | File
+PROPOSERS: dict[str, type[ProposerConfig]] = {"antipodal": Antipodal, "file": File}
 
 _TABLE_TOLERANCE = 0.002  # [m]
 
@@ -70,7 +72,7 @@ class PipelineConfig:
     camera: str = "wrist"  # which of the scenario's cameras looks
     workspace: Workspace = field(default_factory=Workspace)
     cloud: CloudConfig = field(default_factory=CloudConfig)
-    proposer: Antipodal = field(default_factory=Antipodal)
+    proposer: ProposerConfig = field(default_factory=Antipodal)
     feasibility: FeasibilityConfig = field(default_factory=FeasibilityConfig)
     candidates: CandidatesConfig = field(default_factory=CandidatesConfig)
     selector: SelectorConfig = field(default_factory=Geometric)
@@ -206,8 +208,16 @@ def _check_table(workspace: Workspace, planning_model: PlanningModel) -> None:
 
 
 def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
-    """Returns the proposer that the scenario asks for."""
-    return AntipodalProposer(config.proposer, config.workspace, seed)
+    """Returns the proposer that the scenario asks for.
+
+    Raises:
+        InputError: if a setting of it is out of bounds, or what it needs is not there.
+    """
+    match config.proposer:
+        case Antipodal():
+            return AntipodalProposer(config.proposer, config.workspace, seed)
+        case File():
+            return FileProposer(config.proposer)
 
 
 def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:

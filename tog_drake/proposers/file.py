@@ -1,0 +1,166 @@
+"""Grasps from a file that another tool has written: JSON or NPZ, see ``grasp_document``.
+
+What ``tog choose`` writes, ``grasps.json``, is read too. A file is read once, when the proposer is
+made; pickled objects in it are never loaded, because loading them can run any code.
+"""
+
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Literal
+
+import numpy as np
+from numpy.lib import format as npy
+from pydrake.perception import PointCloud
+
+from tog_drake.errors import InputError, NoGrasp
+from tog_drake.proposers.grasp_document import (
+    MAX_GRASPS,
+    NAMES,
+    BadDocument,
+    Document,
+    grasps_in_world,
+    read_document,
+)
+from tog_drake.values import Grasps, View
+
+MAX_FILE_BYTES = 16_000_000
+MAX_ENTRIES = 100  # arrays in an NPZ
+_MAX_ARRAY_BYTES = 16 * 16 * MAX_GRASPS  # of 16 numbers a grasp, however precise
+_CHOSEN = "tog_drake/grasps/1"  # the schema of what ``tog choose`` writes
+
+
+@dataclass
+class File:
+    """Grasps from a file: `!File {path: grasps.json}`."""
+
+    path: str = ""  # of a JSON or NPZ file
+    frame: str | None = None  # camera | world, where the file does not say it
+    gripper: str | None = None  # G | franka_hand | contact_graspnet, where it does not
+
+
+class FileProposer:
+    """Proposes the grasps of a file that hold something of what is seen (a ``Proposer``).
+
+    Raises:
+        InputError: the file is missing, too large, or no document; it says what would be right.
+    """
+
+    def __init__(self, config: File):
+        self._path = Path(config.path)
+        try:
+            content = _content(self._path)
+            self._document = read_document(content, frame=config.frame, gripper=config.gripper)
+        except BadDocument as error:
+            raise InputError(f"grasps cannot be read from {self._path}: {error}") from error
+
+    @property
+    def document(self) -> Document:
+        """What the file holds."""
+        return self._document
+
+    def propose(self, cloud: PointCloud, view: View) -> Grasps:
+        """Returns grasps, best first.
+
+        Raises:
+            NoGrasp: the file has none, or none has anything that was seen between its fingers.
+        """
+        grasps = grasps_in_world(self._document, cloud, view.X_WC)
+        if len(grasps) == 0:
+            held = self._document
+            raise NoGrasp(
+                f"none of the {len(held.scores)} grasps of {self._path} has one of the "
+                f"{cloud.size()} points that were seen between its fingers: is the file of this "
+                f"view, its frame {held.frame!r} and its gripper {held.gripper!r}?"
+            )
+        return grasps
+
+
+def _content(path: Path) -> Mapping[str, Any]:
+    """The named arrays and texts of a file, nothing of them checked yet."""
+    if not path.is_file():
+        raise InputError(f"there is no file of grasps {str(path)!r}; valid: a JSON or NPZ file")
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise BadDocument(f"it has {path.stat().st_size} bytes; valid: at most {MAX_FILE_BYTES}")
+    if zipfile.is_zipfile(path):
+        return _read_npz(path)
+    return _read_json(path)
+
+
+def _read_json(path: Path) -> Mapping[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise BadDocument(f"it is neither JSON nor NPZ ({error})") from error
+    if not isinstance(content, dict):
+        raise BadDocument(f"it holds a {type(content).__name__}; valid: an object with poses ...")
+    if content.get("schema") != _CHOSEN:
+        return content
+    try:
+        rows = content["grasps"]
+        poses, scores = [row["X_CG"] for row in rows], [row["score"] for row in rows]
+        widths, contacts = [row["width"] for row in rows], [row["contact"] for row in rows]
+    except (KeyError, TypeError) as error:
+        raise BadDocument(f"a grasp of {_CHOSEN} lacks X_CG, score, width or contact") from error
+    arrays = {"poses": poses, "scores": scores, "widths": widths, "contacts": contacts}
+    return {**arrays, "frame": "camera", "gripper": "G"}
+
+
+def _read_npz(path: Path) -> Mapping[str, Any]:
+    """The arrays of an NPZ file, none of them larger than it may be."""
+    pickled, arrays = [], {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+            if len(entries) > MAX_ENTRIES:
+                raise BadDocument(f"it holds {len(entries)} files; valid: at most {MAX_ENTRIES}")
+            for entry in entries:
+                name = entry.filename.removesuffix(".npy")[:40]
+                with archive.open(entry) as stream:
+                    array = _read_array(stream, name)
+                if array is None:
+                    pickled.append(name)
+                else:
+                    arrays[name] = str(array) if array.dtype.kind == "U" else array
+    except BadDocument:
+        raise
+    except Exception as error:  # of zipfile, of what it unpacks with, of NumPy's header
+        raise BadDocument(f"it is no sound NPZ file ({error})") from error
+    if pickled:
+        raise BadDocument(_convert(path, pickled))
+    return arrays
+
+
+def _read_array(stream: IO[bytes], name: str) -> "np.ndarray[Any, Any] | None":
+    """One array; None where it holds pickled objects. Its size is checked before its content."""
+    if npy.read_magic(stream) != (1, 0):  # what NumPy writes unless the header is beyond 64 kB
+        raise BadDocument(f"{name!r} is no array of NPY version 1.0")
+    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
+    if dtype.hasobject:
+        return None
+    size = math.prod(shape) * dtype.itemsize
+    if dtype.kind not in "fiuU" or min(shape, default=0) < 0 or size > _MAX_ARRAY_BYTES:
+        raise BadDocument(
+            f"{name!r} is an array of shape {shape} of {dtype!s:.20}; valid: numbers or a text, "
+            f"of at most {MAX_GRASPS} grasps, under one of the names {', '.join(NAMES)}"
+        )
+    data = stream.read(size)
+    if len(data) != size:
+        raise BadDocument(f"{name!r} is cut short: {len(data)} of {size} bytes")
+    order: Literal["F", "C"] = "F" if fortran_order else "C"
+    return np.frombuffer(data, dtype).reshape(shape, order=order)
+
+
+def _convert(path: Path, pickled: list[str]) -> str:
+    """What to do about pickled dictionaries by segment, as Contact-GraspNet writes them."""
+    return (
+        f"it holds pickled objects ({', '.join(pickled)}), which are not loaded here, because that "
+        "can run any code. If you trust who wrote it, convert it, with its own names for A, B, C: "
+        f"d = numpy.load({str(path)!r}, allow_pickle=True); "
+        "a = lambda name: numpy.concatenate(list(d[name].item().values())); "
+        "numpy.savez('grasps.npz', poses=a('A'), scores=a('B'), contacts=a('C'), frame='camera', "
+        "gripper='contact_graspnet')"
+    )
