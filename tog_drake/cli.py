@@ -37,6 +37,7 @@ from tog_drake.options import (
     names,
     valid,
 )
+from tog_drake.serve_commands import app as serve_app
 from tog_drake.terminal import (
     console_for,
     deciding,
@@ -418,6 +419,7 @@ def doctor(as_json: JsonOption = False) -> None:
 app.command(epilog=_epilog("tog prompts cpg"))(prompts)
 app.add_typer(vlm_app, name="vlm")
 app.add_typer(assets_app, name="assets")
+app.add_typer(serve_app, name="serve")
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ what would be valid and what to do next; it needs no traceback to be understood.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from tog_drake.values import ChoiceStatus, Exchange
+    from tog_drake.values import AnswerStatus, ChoiceStatus, Exchange
 
 
 class TogError(Exception):
@@ -37,6 +37,16 @@ class NoFeasibleGrasp(NoGrasp):
     def __init__(self, message: str, rejected: dict[str, int]):
         super().__init__(message)
         self.rejected = rejected
+
+
+class NoProposal(EpisodeError):
+    """Who was to propose grasps elsewhere did not; ``status`` says what became of the question."""
+
+    outcome = "no_proposal"
+
+    def __init__(self, message: str, status: "AnswerStatus"):
+        super().__init__(message)
+        self.status = status
 
 
 class NoChoice(EpisodeError):

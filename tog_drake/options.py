@@ -35,7 +35,8 @@ ScenarioText = Annotated[
 ]
 TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
 ProposerOption = Annotated[
-    str | None, typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH.")
+    str | None,
+    typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL."),
 ]
 KOption = Annotated[
     str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
@@ -184,7 +185,7 @@ class SelectorOptions:
 class ProposerOptions:
     """Who proposes grasps; None leaves the scenario's setting."""
 
-    proposer: str | None = None  # a name, or file:PATH
+    proposer: str | None = None  # a name, file:PATH or remote:URL
 
     def apply(self, config: "PipelineConfig") -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
@@ -208,7 +209,7 @@ class ProposerOptions:
         make_proposer(config, 0)  # hears what is wrong before anything starts
 
 
-_PLACES = {"file": "path"}  # the field of a config that comes after the colon
+_PLACES = {"file": "path", "remote": "url"}  # the field of a config that comes after the colon
 
 
 def _proposer_forms() -> str:

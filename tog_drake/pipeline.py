@@ -20,6 +20,7 @@ from tog_drake.planning_model import PlanningModel
 from tog_drake.proposer import GraspProposer, Proposer
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.file import File, FileProposer
+from tog_drake.proposers.remote import Remote, RemoteProposer
 from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
@@ -48,8 +49,12 @@ SELECTORS: dict[str, type[SelectorConfig]] = {
     "oracle": Oracle,
     "vlm": Vlm,
 }
-ProposerConfig = Antipodal | File
-PROPOSERS: dict[str, type[ProposerConfig]] = {"antipodal": Antipodal, "file": File}
+ProposerConfig = Antipodal | File | Remote
+PROPOSERS: dict[str, type[ProposerConfig]] = {
+    "antipodal": Antipodal,
+    "file": File,
+    "remote": Remote,
+}
 
 _TABLE_TOLERANCE = 0.002  # [m]
 
@@ -218,6 +223,8 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
             return AntipodalProposer(config.proposer, config.workspace, seed)
         case File():
             return FileProposer(config.proposer)
+        case Remote():
+            return RemoteProposer(config.proposer, config.workspace, seed)
 
 
 def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:

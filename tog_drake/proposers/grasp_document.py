@@ -14,9 +14,10 @@ gripper   text       what the poses are of:
                      "contact_graspnet": the hand base 0.1034 m behind it, closes along x
 ========  =========  ==========================================================================
 
-z is the approach in all three. A grasp with nothing that was seen between its fingers is dropped.
-A contact that is left out becomes the point of the cloud, among those that a pad touches first
-along the closing axis, that is nearest to this axis; a width, how far those points reach.
+z is the approach in all three. A contact that is left out becomes the point of the cloud, among
+those that a pad touches first along the closing axis, that is nearest to this axis; a width that
+is left out, how far those points reach. A grasp with nothing that was seen between its fingers is
+dropped then; one that has both is believed, unless all have nothing between their fingers.
 """
 
 import math
@@ -218,7 +219,7 @@ def _true_rotations(poses: Array, off: Array) -> Array:
 
 
 def grasps_in_world(document: Document, cloud: PointCloud, X_WC: Array) -> Grasps:
-    """Returns the grasps of the document that hold something of the cloud, best first.
+    """Returns the grasps of the document, as far as they hold something of the cloud, best first.
 
     Args:
         document: what the tool gave.
@@ -229,6 +230,8 @@ def grasps_in_world(document: Document, cloud: PointCloud, X_WC: Array) -> Grasp
     X_WG = X_WF @ document.poses @ GRIPPERS[document.gripper]
     p_W = cloud.xyzs().T.astype(np.float64)
     row, width, contact = _held(X_WG, document.widths, p_W)
+    if len(row) and document.widths is not None and document.contacts is not None:
+        row = np.arange(len(X_WG))
     if document.widths is not None:
         width = document.widths[row]
     if document.contacts is not None:

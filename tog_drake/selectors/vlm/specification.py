@@ -77,6 +77,11 @@ def _without_endpoint(config: ModelConfig) -> str | None:
     return None
 
 
+def is_plain_url(text: str) -> bool:
+    """Whether it is an URL of scheme, host and path alone: without user, password or query."""
+    return _URL.fullmatch(text) is not None
+
+
 def check_model(config: ModelConfig) -> None:
     """Raises InputError for a model that cannot be asked, whatever its server is."""
     if not config.model:
@@ -90,7 +95,7 @@ def check_model(config: ModelConfig) -> None:
             "the model's name ends in an address without http:// or https://; a URL after @ begins "
             "with http:// or https://; valid: such as openai:MODEL@http://localhost:8000/v1"
         )
-    if not _URL.fullmatch(config.base_url):
+    if not is_plain_url(config.base_url):
         # Not shown: it may hold a password, and messages end up in records.
         raise InputError(
             f"base_url of {config.model} is no URL of scheme, host and path alone; valid: one such "

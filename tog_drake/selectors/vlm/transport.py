@@ -45,13 +45,22 @@ class Rejected(Unanswered):
 class _Again(Exception):
     """A failure that may pass: what to raise at the last attempt, when the server said to retry."""
 
-    def __init__(self, failure: Unanswered, delay: float | None = None):
+    def __init__(self, failure: Unanswered, delay: float | None = None, code: int | None = None):
         super().__init__()
         self.failure = failure
         self.delay = delay  # [s]
+        self.code = code  # HTTP status; None: the connection failed
 
 
-def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadline: float) -> Any:
+def post(
+    url: str,
+    headers: Mapping[str, str],
+    body: Mapping[str, Any],
+    *,
+    deadline: float,
+    attempts: int = ATTEMPTS,
+    retryable: frozenset[int] = RETRYABLE,
+) -> Any:
     """Sends JSON and returns the JSON of the answer, asking again where that may help.
 
     Args:
@@ -59,6 +68,8 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
         headers: those with the key among them; Content-Type is added.
         body: of the request.
         deadline: of everything together, on the clock of ``time.monotonic`` [s].
+        attempts: at most, the first included.
+        retryable: HTTP statuses after which it is asked again; as after a failed connection.
 
     Raises:
         Rejected: the server does not take the request.
@@ -71,9 +82,9 @@ def post(url: str, headers: Mapping[str, str], body: Mapping[str, Any], *, deadl
         try:
             return _within(deadline, url, headers, data)
         except _Again as again:
-            delay, failure = again.delay, again.failure
+            delay, failure, code = again.delay, again.failure, again.code
         attempt += 1
-        if attempt == ATTEMPTS:
+        if attempt == attempts or (code is not None and code not in retryable):
             raise failure
         asked_to_wait = delay is not None
         if delay is None:
@@ -191,7 +202,7 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
     complaint = _complaint(body, text)
     message = f"{_host(url)} answers with status {code}: {quoted(complaint, secrets)}"
     if code in RETRYABLE and response.headers.get("x-should-retry") != "false":
-        raise _Again(Unanswered("unreachable", message), _asked_delay(response, body))
+        raise _Again(Unanswered("unreachable", message), _asked_delay(response, body), code)
     if code >= 500:
         raise Unanswered("unreachable", message)
     raise Rejected(message + _hint(code, url), code, quoted(complaint, secrets, 1000))

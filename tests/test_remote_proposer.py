@@ -1,0 +1,537 @@
+"""Grasps from a server: the protocol, both ends of it, and servers and clients that misbehave."""
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import numpy as np
+import pytest
+import vlm_server as mishaps
+from command import refused, tog
+from loopback import LoopbackServer
+from tabletop import RED, TABLE, look
+
+from tog_drake.cloud import CloudConfig, scene_cloud
+from tog_drake.errors import InputError, NoGrasp, NoProposal
+from tog_drake.pipeline import PipelineConfig
+from tog_drake.proposers import propose_protocol, serving
+from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
+from tog_drake.proposers.propose_protocol import (
+    SCHEMA,
+    BadRequest,
+    Request,
+    answer_body,
+    read_request,
+    request_body,
+)
+from tog_drake.proposers.remote import Remote, RemoteProposer
+from tog_drake.proposers.serving import ProposerServer
+from tog_drake.scenario import Scenario, parse_scenario
+from tog_drake.selectors.vlm import transport
+from tog_drake.serve_commands import _proposals
+from tog_drake.values import Grasps, Workspace
+
+QUICK = Antipodal(anchors=40, max_anchors=40, tilts_deg=[40.0])
+RUN = ("run", "--no-meshcat", "--task", "use the hammer")
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A view and its cloud: a block on a table."""
+    view = look([TABLE, ((0.44, -0.02, 0.0), (0.56, 0.02, 0.06), RED)])
+    return view, scene_cloud(view, Workspace(), CloudConfig())
+
+
+@pytest.fixture(scope="module")
+def grasps(scene):
+    view, seen = scene
+    return AntipodalProposer(QUICK, Workspace(), 3).propose(seen, view)
+
+
+@contextlib.contextmanager
+def serving_by(propose):
+    """A ProposerServer while the ``with`` lasts; yields its port and the lines that it said."""
+    said = []
+    server = ProposerServer(("127.0.0.1", 0), "tested", propose, said.append)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    try:
+        yield server.server_port, said
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def remote(port, *, timeout=20.0, seed=3, path="/propose", **settings):
+    config = Remote(f"http://127.0.0.1:{port}{path}", timeout, **settings)
+    return RemoteProposer(config, Workspace(), seed)
+
+
+def same(mine, theirs):
+    for one, other in zip(vars(mine).values(), vars(theirs).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+# --- both ends together -------------------------------------------------------------------------
+
+
+def test_grasps_from_a_server_are_those_of_the_proposer_bit_for_bit(scene, grasps):
+    view, seen = scene
+    config = PipelineConfig(proposer=QUICK)
+    with serving_by(_proposals(config)) as (port, said):
+        same(remote(port).propose(seen, view), grasps)
+        same(remote(port, images=False).propose(seen, view), grasps)
+        other_seed = remote(port, seed=4).propose(seen, view)
+    assert not np.array_equal(other_seed.X_WG[:5], grasps.X_WG[:5])
+    assert len(said) == 3
+    assert f"200: {len(grasps)} grasps on {seen.size()} points" in said[0]
+
+
+def test_a_request_arrives_as_it_was_sent(scene):
+    view, seen = scene
+    workspace = Workspace([0.1, -0.2, 0.0], [0.7, 0.3, 0.5], 0.05)
+    sent = Request(seen, view, workspace, 7)
+    text = json.dumps(request_body(sent, images=True), allow_nan=False)
+    got = read_request(json.loads(text))
+    for field in ("xyzs", "normals", "rgbs"):
+        np.testing.assert_array_equal(getattr(got.cloud, field)(), getattr(seen, field)())
+    same(got.view, view)
+    assert (got.workspace, got.seed) == (workspace, 7)
+    without = read_request(request_body(sent, images=False)).view
+    assert not without.depth.any()
+    assert without.depth.shape == view.depth.shape
+    assert without.intrinsics == view.intrinsics
+
+
+def test_the_server_in_the_protocols_description_works(scene, grasps):
+    program = textwrap.dedent(
+        propose_protocol.__doc__.split("whole::")[1].split("What is wrong")[0]
+    )
+    *_, last = program.strip().splitlines()
+    assert last == 'HTTPServer(("127.0.0.1", 8001), Handler).serve_forever()'
+    asked = []
+
+    def my_network(points):
+        asked.append(points)
+        base = np.eye(4)
+        base[2, 3] = -0.1034  # franka_hand
+        return grasps.X_WG @ base, grasps.score
+
+    namespace = {"my_network": my_network}
+    exec(program.replace(last, ""), namespace)
+    assert namespace["HTTPServer"] is HTTPServer
+    view, seen = scene
+    with LoopbackServer(namespace["Handler"]) as server:
+        found = remote(server.port).propose(seen, view)
+    np.testing.assert_array_equal(asked[0], seen.xyzs().T)
+    assert len(found) == len(grasps)
+    np.testing.assert_allclose(found.X_WG, grasps.X_WG, atol=1e-9)
+
+
+def test_no_grasps_are_an_answer_and_what_a_proposer_says_is_passed_on(scene):
+    view, seen = scene
+    with serving_by(lambda request: Grasps.empty()) as (port, _):
+        assert len(remote(port).propose(seen, view)) == 0
+
+    def nothing(request):
+        raise NoGrasp("it is all too wide")
+
+    with serving_by(nothing) as (port, _), pytest.raises(NoProposal, match=r"422.*all too wide"):
+        remote(port).propose(seen, view)
+
+    def defect(request):
+        raise KeyError("weights")
+
+    with serving_by(defect) as (port, _), pytest.raises(NoProposal, match=r"500.*KeyError"):
+        remote(port).propose(seen, view)
+
+
+def test_one_proposal_is_made_at_a_time(scene, grasps):
+    view, seen = scene
+    running, most = [], []
+
+    def propose(request):
+        running.append(1)
+        most.append(len(running))
+        time.sleep(0.05)
+        running.pop()
+        return grasps
+
+    with serving_by(propose) as (port, _):
+        askers = [
+            threading.Thread(target=remote(port, images=False).propose, args=(seen, view))
+            for _ in range(4)
+        ]
+        for asker in askers:
+            asker.start()
+        for asker in askers:
+            asker.join()
+    assert most == [1, 1, 1, 1]
+
+
+def test_a_scenario_names_the_server_by_a_tag():
+    text = 'pipeline: {proposer: !Remote {url: "http://gpu:8001/propose", timeout: 5}}'
+    config = parse_scenario(text, "text", Scenario()).pipeline
+    assert config.proposer == Remote("http://gpu:8001/propose", 5.0, True)
+
+
+# --- servers that misbehave ---------------------------------------------------------------------
+
+
+class GraspServer(LoopbackServer):
+    """Meets each request with a mishap of ``vlm_server``; without one it answers well."""
+
+    def __init__(self, grasps, mishap=None):
+        super().__init__(_Handler)
+        self.answer = answer_body(grasps)
+        self.mishap = mishap
+        self.headers = []
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    send_head = mishaps._Handler.send_head
+    send = mishaps._Handler.send
+
+    def log_message(self, *arguments):
+        pass
+
+    def do_GET(self):
+        pytest.fail("a redirect was followed")
+
+    def do_POST(self):
+        owner = self.server.owner
+        self.close_connection = True
+        owner.headers.append(dict(self.headers))
+        self.rfile.read(int(self.headers["Content-Length"]))
+        with contextlib.suppress(OSError):
+            if owner.mishap is None:
+                self.send(200, self.good())
+            else:
+                owner.mishap(self, None)
+
+    def good(self, spoken=None):
+        return json.dumps(self.server.owner.answer).encode()
+
+
+def says(**changes):
+    """A good answer with other entries."""
+
+    def mishap(handler, spoken):
+        handler.send(200, json.dumps({**handler.server.owner.answer, **changes}).encode())
+
+    return mishap
+
+
+def _endless(handler, spoken):
+    handler.send_head(200, None)
+    block = b" " * 2**16
+    while not handler.server.owner.closing.is_set():
+        handler.wfile.write(b"%x\r\n%s\r\n" % (len(block), block))
+
+
+N = 3  # grasps in a good answer
+NAN = json.dumps([float("nan")] * N).encode()
+HOSTILE = {
+    "hangs": (mishaps.hang, "timed_out", "allow more than 0.5 s"),
+    "drips": (mishaps.trickle, "timed_out", "within the deadline"),
+    "drips headers": (mishaps.trickle_headers, "timed_out", "within the deadline"),
+    "endless": (_endless, "too_long", "longer than"),
+    "huge": (mishaps.verbatim(b"[" + b"1," * 2**22 + b"1]"), "too_long", "longer than"),
+    "a million grasps": (
+        says(poses=[np.eye(4).tolist()] * 20_000, scores=[0.5] * 1_000_000), "too_long", "longer",
+    ),
+    "too many grasps": (
+        says(poses=[[[1]]] * 2001, scores=[0.5] * 2001), "unreadable", "at most 2000",
+    ),
+    "a page": (mishaps.html(), "unreachable", "something else than JSON"),
+    "an error page": (mishaps.html(502), "unreachable", "status 502"),
+    "no json": (mishaps.verbatim(b"\x00\xff\xfe"), "unreachable", "something else than JSON"),
+    "nan": (mishaps.verbatim(b'{"schema": NaN}'), "unreachable", "something else than JSON"),
+    "deep": (mishaps.verbatim(b"[" * 100_000), "unreachable", "something else than JSON"),
+    "deep but closed": (
+        mishaps.verbatim(b"[" * 500 + b"]" * 500), "unreachable", "something else than JSON",
+    ),
+    "a redirect": (mishaps.redirect("http://127.0.0.1:1/"), "rejected", "redirects"),
+    "cut": (mishaps.cut, "unreachable", "tog serve proposer"),
+    "cut in chunks": (mishaps.cut_chunked, "unreachable", "cut in the answer"),
+    "reset": (mishaps.reset, "unreachable", "is it running"),
+    "no http": (mishaps.raw(b"SSH-2.0-OpenSSH_9\r\n\r\n"), "unreachable", "no connection"),
+    "refuses": (mishaps.verbatim(b'{"error": {"message": "no"}}', 400), "rejected", '400: "no"'),
+    "a list": (mishaps.verbatim(b"[]"), "unreadable", "its schema is none"),
+    "another schema": (says(schema="grasps/9"), "unreadable", "'grasps/9'; valid: 'tog_drake"),
+    "no poses": (says(poses=None), "unreadable", "has no poses"),
+    "numbers as text": (says(scores=["0.5"] * N), "unreadable", r"scores\[0\] is '0.5'"),
+    "flat poses": (says(poses=[[1.0] * 16] * N), "unreadable", r"poses\[0\] is a list of 16"),
+    "mirrored": (
+        says(poses=[np.diag([1.0, 1, -1, 1]).tolist()] * N), "unreadable", "no rigid transform",
+    ),
+    "one score": (says(scores=[0.5]), "unreadable", "scores is for 1 grasps"),
+    "sure beyond measure": (says(scores=[2.0] * N), "unreadable", r"scores\[0\] is 2"),
+    "another frame": (says(frame="base"), "unreadable", "unknown frame 'base'"),
+    "an escape in it": (says(frame="\x1b[2J"), "unreadable", r"unknown frame '\\x1b"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_whatever_a_server_does_it_is_over_in_time_and_says_what_was_wrong(case, scene, grasps):
+    mishap, status, message = HOSTILE[case]
+    view, seen = scene
+    timeout = 0.5 if status == "timed_out" else 20.0
+    with GraspServer(grasps.take(np.arange(N)), mishap) as server:
+        with pytest.raises(NoProposal, match=message) as caught:
+            remote(server.port, timeout=timeout, images=False).propose(seen, view)
+        asked = len(server.headers)
+    assert caught.value.status == status
+    assert caught.value.outcome == "no_proposal"
+    assert f"http://127.0.0.1:{server.port}/propose" in str(caught.value)
+    # Only a connection that failed is tried once more.
+    assert asked == (2 if case in ("cut", "cut in chunks", "reset", "no http") else 1)
+
+
+def test_nothing_is_sent_that_tells_who_asks(scene, grasps, tmp_path, monkeypatch):
+    (tmp_path / "netrc").write_text("machine 127.0.0.1 login me password planted-secret")
+    monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
+    mishaps.plant_keys(monkeypatch)
+    view, seen = scene
+    with GraspServer(grasps.take(np.arange(N))) as server:
+        assert len(remote(server.port, images=False).propose(seen, view)) == N
+    (headers,) = server.headers
+    assert {name.lower() for name in headers} <= {
+        "host", "user-agent", "accept", "accept-encoding", "connection", "content-type",
+        "content-length",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "url", ["", "gpu:8001", "ftp://gpu/x", "http://me:secret@gpu/x", "http://gpu/x?key=secret"]
+)
+def test_an_url_that_is_none_or_holds_a_secret_is_refused_and_not_repeated(url, tmp_path):
+    with pytest.raises(InputError, match="no URL of scheme, host and path alone") as caught:
+        RemoteProposer(Remote(url), Workspace(), 0)
+    assert "secret" not in str(caught.value)
+    with pytest.raises(InputError, match="timeout must be above 0 s, not nan"):
+        RemoteProposer(Remote(timeout=float("nan")), Workspace(), 0)
+    if url:
+        done = tog(*RUN, "--proposer", f"remote:{url}", "--out", tmp_path / "out")
+        refused(done, "http://127.0.0.1:8001/propose")
+
+
+def test_a_run_whose_server_is_not_there_says_so_and_what_to_do(tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{free.getsockname()[1]}/propose"  # nobody listens
+        done = tog(*RUN, "--proposer", f"remote:{url}", "--json", "--out", tmp_path / "out")
+    record = json.loads(done.out)
+    assert (done.status, record["outcome"]) == (1, "no_proposal")
+    assert "is it running?; `tog serve proposer` there starts one" in record["message"]
+    assert record["proposer"] == {"kind": "remote", "url": url, "timeout": 60.0, "images": True}
+
+
+# --- clients that misbehave ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def listening(grasps):
+    with serving_by(lambda request: grasps) as (port, _):
+        yield port
+
+
+@pytest.fixture(scope="module")
+def body(scene):
+    view, seen = scene
+    return request_body(Request(seen, view, Workspace(), 0), images=True)
+
+
+def asked(port, method, path, data=None, **headers):
+    """The status and the JSON of an answer."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    with contextlib.closing(connection):
+        connection.request(method, path, data, {"Content-Type": "application/json", **headers})
+        response = connection.getresponse()
+        assert response.headers["Content-Type"] == "application/json"
+        return response.status, json.loads(response.read())
+
+
+def test_healthz_tells_who_answers(listening):
+    status, told = asked(listening, "GET", "/healthz")
+    assert (status, told) == (200, {"status": "ok", "schema": SCHEMA, "proposer": "tested"})
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "data", "headers", "status"),
+    [
+        ("GET", "/", None, {}, 404),
+        ("GET", "/../etc/passwd", None, {}, 404),
+        ("POST", "/", b"{}", {}, 404),
+        ("PUT", "/propose", b"{}", {}, 501),
+        ("POST", "/propose", b"{}", {"Content-Type": "text/plain"}, 415),
+        ("POST", "/propose", None, {"Content-Length": "many"}, 411),
+        ("POST", "/propose", None, {"Content-Length": "-1"}, 411),
+        ("POST", "/propose", None, {"Content-Length": "9" * 11}, 413),
+        ("POST", "/propose", None, {"Content-Length": "9" * 5000}, 413),
+        ("POST", "/propose", b"{", {}, 400),
+        ("POST", "/propose", b"[" * 100_000, {}, 400),
+        ("POST", "/propose", b"\xff", {}, 400),
+    ],
+)
+def test_what_is_no_request_gets_a_status_and_json(method, path, data, headers, status, listening):
+    got, told = asked(listening, method, path, data, **headers)
+    assert got == status
+    assert told["error"]["message"]
+
+
+def _change(body, name, **changes):
+    return {**body, name: {**body[name], **changes}}
+
+
+BAD = {
+    "schema": (lambda b: {**b, "schema": "x"}, "no request of"),
+    "a list": (lambda b: [b], "no request of"),
+    "no points": (lambda b: {**b, "points": None}, "points is no array of float32"),
+    "doubles": (lambda b: _change(b, "points", dtype="float64"), "points is no array of float32"),
+    "objects": (lambda b: _change(b, "points", dtype="object"), "points is no array"),
+    "flat": (lambda b: _change(b, "points", shape=[12]), "points has the shape"),
+    "negative": (lambda b: _change(b, "points", shape=[-1, 3]), "points has the shape"),
+    "true": (lambda b: _change(b, "points", shape=[True, 3]), "points has the shape"),
+    "a million": (lambda b: _change(b, "points", shape=[10**9, 3]), "at most 1000000"),
+    "fewer normals": (lambda b: _change(b, "normals", shape=[1, 3]), "normals has the shape"),
+    "too little": (lambda b: _change(b, "points", base64="AAAA"), "points has 3 bytes"),
+    "no base64": (lambda b: _change(b, "points", base64="%%%%"), "points is not base64"),
+    "a number": (lambda b: _change(b, "points", base64=7), "points is not base64"),
+    "nan": (
+        lambda b: _change(b, "points", base64="AADAfwAAwH8AAMB/", shape=[1, 3]), "not finite",
+    ),
+    "no camera": (lambda b: {**b, "camera": None}, "camera must be an object"),
+    "a camera of lists": (lambda b: _change(b, "camera", fx=[1, 2]), "fx must be finite numbers"),
+    "a huge camera": (lambda b: _change(b, "camera", width=1e9), "pixels; valid: at most"),
+    "no focus": (lambda b: _change(b, "camera", fx=0), "fx and fy must be above 0"),
+    "another size": (lambda b: _change(b, "camera", width=100), "rgb has the shape"),
+    "no pose": (lambda b: {**b, "X_WC": None}, "X_WC"),
+    "a mirror": (lambda b: {**b, "X_WC": np.diag([1, 1, -1, 1]).tolist()}, "no rigid transform"),
+    "a workspace": (lambda b: {**b, "workspace": {"lower": [0]}}, "lower must be finite"),
+    "a seed": (lambda b: {**b, "seed": -1}, "seed is -1"),
+    "half a seed": (lambda b: {**b, "seed": 0.5}, "seed is 0.5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_request_that_is_wrong_is_refused_and_says_where(case, body):
+    change, message = BAD[case]
+    with pytest.raises(BadRequest, match=message):
+        read_request(json.loads(json.dumps(change(body))))
+
+
+def test_what_is_wrong_reaches_the_client_with_status_400(listening, body):
+    status, told = asked(listening, "POST", "/propose", json.dumps({**body, "seed": -1}))
+    assert (status, told["error"]["message"]) == (400, "seed is -1; valid: a whole number from 0")
+
+
+def test_a_client_that_falls_silent_is_given_up(listening, monkeypatch):
+    monkeypatch.setattr(serving._Handler, "timeout", 0.2)
+    with socket.create_connection(("127.0.0.1", listening), timeout=20) as client:
+        client.sendall(
+            b"POST /propose HTTP/1.1\r\nContent-Type: application/json\r\n"
+            b"Content-Length: 100\r\n\r\n{"
+        )
+        assert b"408" in client.recv(100)
+    with socket.create_connection(("127.0.0.1", listening), timeout=20) as client:
+        client.sendall(b"POST /propose HTTP/1.1\r\nX-Slow: ")
+        assert client.recv(100) == b""
+
+
+def test_more_clients_than_there_is_room_for_are_turned_away_and_room_is_made_again(
+    listening, monkeypatch
+):
+    idle = [socket.create_connection(("127.0.0.1", listening)) for _ in range(serving.MAX_CLIENTS)]
+    with socket.create_connection(("127.0.0.1", listening), timeout=20) as one_more:
+        assert one_more.recv(100) == b""
+    for client in idle:
+        client.close()
+    for _ in range(200):
+        with contextlib.suppress(OSError, http.client.HTTPException):
+            assert asked(listening, "GET", "/healthz")[0] == 200
+            return
+        time.sleep(0.05)
+    pytest.fail("no room was made again")
+
+
+# --- the command --------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def tog_serve(*arguments):
+    """The command in a process of its own; yields its URL, and ends it as Ctrl-C does."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tog_drake.cli", "serve", "proposer", "--port", "0", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        line = process.stdout.readline()
+        found = re.search(r"http://\S+/propose", line)
+        assert found, line + process.stderr.read()
+        yield found[0]
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+        assert (process.returncode, told) == (130, "interrupted\n")
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_on_a_real_frame_tog_choose_gets_the_same_from_tog_serve(shared_data, tmp_path):
+    frame = shared_data / "rgbd" / "red_mug_6dof"
+    info = json.loads((frame / "info.json").read_text(encoding="utf-8"))
+    asking = (
+        "choose", "--rgb", frame / "color.png", "--depth", frame / "depth.png",
+        "--intrinsics", frame / "info.json", "--depth-scale", info["depth_units_per_metre"],
+        "--task", "hold the red mug by the handle",
+    )  # fmt: skip
+    assert tog(*asking, "--out", tmp_path / "here").status == 0
+    with tog_serve() as url:
+        done = tog(*asking, "--proposer", f"remote:{url}", "--out", tmp_path / "there")
+    assert done.status == 0, done.err
+    here, there = (Path(tmp_path, name, "grasps.json").read_bytes() for name in ("here", "there"))
+    assert here == there
+
+
+def test_a_server_that_cannot_start_is_one_line(tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = tog("serve", "proposer", "--port", port)
+        refused(done, f"cannot listen on 127.0.0.1:{port}", "another --port")
+    refused(tog("serve", "proposer", "--proposer", "gpd"), "'gpd'", "antipodal")
+    refused(tog("serve", "proposer", "--host", "no such host"), "cannot listen on no such host")
+
+
+def test_a_server_for_others_says_that_anybody_can_use_it(monkeypatch):
+    for name in ("serve_forever", "server_bind", "server_activate"):
+        monkeypatch.setattr(ProposerServer, name, lambda server: None)
+    monkeypatch.setattr(ProposerServer, "server_port", 8001, raising=False)
+    at_home, for_all = (tog("serve", "proposer", "--host", h) for h in ("127.0.0.1", "0.0.0.0"))
+    assert at_home.status == for_all.status == 0
+    assert "http://127.0.0.1:8001/propose" in at_home.out
+    assert "anybody" not in at_home.out
+    assert "anybody who reaches 0.0.0.0 on the network can use it" in for_all.out

@@ -1,0 +1,174 @@
+"""A server that proposes grasps to whoever asks it as ``propose_protocol`` says.
+
+POST /propose asks; GET /healthz tells which proposer answers. One proposal is made at a time; who
+comes in the meantime waits. It is for this machine, or for a network whose users are trusted: it
+asks for no key and speaks plain HTTP.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from tog_drake.errors import TogError
+from tog_drake.proposers.propose_protocol import (
+    SCHEMA,
+    BadRequest,
+    Request,
+    answer_body,
+    read_request,
+)
+from tog_drake.values import Grasps
+
+MAX_REQUEST = 100_000_000  # [bytes]; a view of 1920 × 1080 with its cloud has about 20 million
+MAX_CLIENTS = 16  # at a time; more are turned away
+READING = 60.0  # [s] for a request to arrive
+SILENCE = 10.0  # [s] without a byte of it
+WAITING = 300.0  # [s] until it is one's turn
+
+Propose = Callable[[Request], Grasps]
+
+
+class ProposerServer(ThreadingHTTPServer):
+    """Answers requests until it is shut down.
+
+    Args:
+        address: host and port; of port 0 the system picks a free one, see ``server_port``.
+        name: of the proposer, as /healthz tells it.
+        propose: makes the grasps; it is not called by two threads at a time.
+        say: takes a line about each request.
+
+    Raises:
+        OSError: the address cannot be listened on.
+    """
+
+    daemon_threads = True
+
+    def __init__(
+        self, address: tuple[str, int], name: str, propose: Propose, say: Callable[[str], None]
+    ):
+        self.name, self.say = name, say
+        self._propose = propose
+        self._turn = threading.Lock()
+        self._places = threading.BoundedSemaphore(MAX_CLIENTS)
+        super().__init__(address, _Handler)
+
+    def propose(self, request: Request) -> Grasps:
+        """Returns the grasps, when it is the request's turn; raises TimeoutError if it never is."""
+        if not self._turn.acquire(timeout=WAITING):
+            raise TimeoutError
+        try:
+            return self._propose(request)
+        finally:
+            self._turn.release()
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if self._places.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._places.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that went away is no error of the server."""
+
+
+class _Refused(Exception):
+    """A request that is not answered with grasps."""
+
+    def __init__(self, status: int, message: str):
+        super().__init__(message)
+        self.status = status
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: ProposerServer
+    timeout = SILENCE
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """The server says what there is to say."""
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """What the base class refuses, such as another method, is told as JSON, too."""
+        self._send(code, _error(message or self.responses.get(code, ("",))[0]))
+
+    def do_GET(self) -> None:
+        if self.path == "/healthz":
+            self._send(200, {"status": "ok", "schema": SCHEMA, "proposer": self.server.name})
+        else:
+            self._send(404, _error("there is nothing here; valid: GET /healthz, POST /propose"))
+
+    def do_POST(self) -> None:
+        start = time.monotonic()
+        try:
+            request = self._request()
+            grasps = self._grasps(request)
+            body = answer_body(grasps)
+            said = f"{len(grasps)} grasps on {request.cloud.size()} points"
+            status = 200
+        except _Refused as refused:
+            status, body, said = refused.status, _error(str(refused)), str(refused)
+        self._send(status, body)
+        self.server.say(f"{status}: {said}, {time.monotonic() - start:.2f} s")
+
+    def _request(self) -> Request:
+        data = self._body()  # first, or who is refused might still be sending and not hear why
+        if self.path != "/propose":
+            raise _Refused(404, "there is nothing here; valid: POST /propose, GET /healthz")
+        if self.headers.get_content_type() != "application/json":
+            # A page in a browser on this machine can send other types without being asked.
+            raise _Refused(415, "Content-Type must be application/json")
+        try:
+            return read_request(json.loads(data))
+        except BadRequest as error:
+            raise _Refused(400, str(error)) from None
+        except (ValueError, RecursionError):
+            raise _Refused(400, f"the body is no JSON; valid: a request of {SCHEMA}") from None
+
+    def _body(self) -> bytes:
+        length = self.headers.get("Content-Length", "")
+        if not (length.isascii() and length.isdigit()):
+            raise _Refused(411, "Content-Length must say how many bytes there are")
+        if len(length) > 12 or int(length) > MAX_REQUEST:
+            raise _Refused(413, f"the body has {length:.20} bytes; valid: at most {MAX_REQUEST}")
+        received, deadline = bytearray(), time.monotonic() + READING
+        try:
+            while len(received) < int(length):
+                chunk = self.rfile.read1(min(65_536, int(length) - len(received)))
+                received += chunk
+                if not chunk or time.monotonic() > deadline:
+                    break
+        except TimeoutError:
+            pass
+        if len(received) < int(length):
+            raise _Refused(408, f"only {len(received)} of {length} bytes arrived in time")
+        return bytes(received)
+
+    def _grasps(self, request: Request) -> Grasps:
+        try:
+            return self.server.propose(request)
+        except TimeoutError:
+            raise _Refused(503, "too many requests are waiting; ask again later") from None
+        except TogError as error:
+            raise _Refused(422, str(error)) from error
+        except Exception as error:
+            raise _Refused(500, f"the proposer failed: {type(error).__name__}: {error}") from error
+
+    def _send(self, status: int, body: dict[str, Any]) -> None:
+        data = json.dumps(body, allow_nan=False).encode()
+        self.send_response(status)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+
+def _error(message: str) -> dict[str, Any]:
+    return {"error": {"message": message}}
