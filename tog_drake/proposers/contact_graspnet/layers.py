@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-CHUNK = {"cpu": 4096}  # rows of a group tensor at a time, so that they stay in the cache
+CHUNK = 4096  # rows of a group tensor at a time on a CPU, so that they stay in its cache
 CHUNK_ELSEWHERE = 1 << 20
 
 
@@ -23,9 +23,9 @@ class Layer:
     bias: Tensor  # (out,)
     norm: Any = None  # the normalisation by the statistics of what passes through, if so
 
-    def __call__(self, x: Tensor) -> Tensor:
-        """From (rows, in) to (rows, out)."""
-        return self.activate(torch.addmm(self.bias, x, self.weight.t()))
+    def __call__(self, x: Tensor, out: Tensor | None = None) -> Tensor:
+        """From (rows, in) to (rows, out), where given in the memory of ``out``."""
+        return self.activate(torch.mm(x, self.weight.t(), out=out).add_(self.bias))
 
     def activate(self, y: Tensor) -> Tensor:
         """What follows the convolution, in place where it can be; y is (rows, out)."""
@@ -75,37 +75,40 @@ def pooled(
         (M, channels of the last layer).
     """
     first, *middle, last = layers
+    whole = first.norm is not None
+    order = torch.argsort(count, descending=True, stable=True)
+    if whole:  # repeats count in statistics, and all rows are needed for them
+        chunks = [(0, len(order), neighbours.shape[1])]
+    else:  # repeats cannot change a maximum
+        rows = CHUNK if count.device.type == "cpu" else CHUNK_ELSEWHERE
+        chunks = list(_chunks(count[order].tolist(), rows))
+    most = max((end - start) * width for start, end, width in chunks)
+    buffers = [features.new_empty(most, len(each.bias)) for each in layers]
+
+    neighbours = neighbours[order]
     at_point = torch.addmm(first.bias, torch.cat([features, xyz], dim=1), first.weight.t())
-    at_centre = centres @ first.weight[:, -3:].t()
-    result = features.new_empty(len(centres), len(last.bias))
-    for rows, width in _chunks(count, neighbours.shape[1], whole=first.norm is not None):
-        x = at_point[neighbours[rows, :width]]
-        x -= at_centre[rows, None]
-        x = first.activate(x.flatten(0, 1))
-        for each in middle:
-            x = each(x)
-        if last.norm is not None:
-            result[rows] = last(x).view(-1, width, len(last.bias)).amax(dim=1)
-        else:  # neither the bias nor ReLU changes which neighbour is the largest
-            y = (x @ last.weight.t()).view(-1, width, len(last.bias))
-            result[rows] = y.amax(dim=1).add_(last.bias).relu_()
-    return result
+    at_centre = centres[order] @ first.weight[:, -3:].t()
+    largest = features.new_empty(len(order), len(layers[-1].bias))
+    for start, end, width in chunks:
+        x, *out, y = (buffer[: (end - start) * width] for buffer in buffers)
+        torch.index_select(at_point, 0, neighbours[start:end, :width].flatten(), out=x)
+        x.view(end - start, width, -1).sub_(at_centre[start:end, None])
+        x = first.activate(x)
+        for each, into in zip(middle, out, strict=True):
+            x = each(x, into)
+        torch.mm(x, last.weight.t(), out=y)
+        if whole:
+            y = last.activate(y.add_(last.bias))
+        torch.amax(y.view(end - start, width, -1), dim=1, out=largest[start:end])
+    if not whole:  # neither bias nor ReLU changes which neighbour is the largest
+        largest = last.activate(largest.add_(last.bias))
+    return torch.empty_like(largest).index_copy_(0, order, largest)
 
 
-def _chunks(count: Tensor, most: int, *, whole: bool) -> Iterator[tuple[Tensor, int]]:
-    """Centres that are worked on together, and how many neighbours of each; the fullest first.
-
-    Centres with similarly many neighbours go together: repeats cannot change a maximum, so they
-    are left out as far as possible. ``whole``: they count in statistics, so nothing is left out.
-    """
-    if whole:
-        yield torch.arange(len(count), device=count.device), most
-        return
-    chunk = CHUNK.get(count.device.type, CHUNK_ELSEWHERE)
-    order = torch.argsort(count, descending=True)
-    width = count[order].tolist()
+def _chunks(widths: Sequence[int], rows: int) -> Iterator[tuple[int, int, int]]:
+    """Start, end and width of stretches of the descending widths that fit into so many rows."""
     start = 0
-    while start < len(width):
-        end = start + max(1, chunk // width[start])
-        yield order[start:end], width[start]
+    while start < len(widths):
+        end = min(len(widths), start + max(1, rows // widths[start]))
+        yield start, end, widths[start]
         start = end

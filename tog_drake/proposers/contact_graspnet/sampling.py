@@ -14,12 +14,17 @@ from numpy.typing import NDArray
 Points = NDArray[np.float32]  # (N, 3) [m]
 Rows = NDArray[np.int64]
 
+GROUP = 48  # centres whose distances are computed together: they fit into the cache
 
-def squared_distances(a: Points, b: Points) -> NDArray[np.float32]:
-    """Squared distances [m²] of points (..., 3) that broadcast, squares summed as x, y, z."""
-    total: NDArray[np.float32] = np.square(a[..., 0] - b[..., 0])
-    total += np.square(a[..., 1] - b[..., 1])
-    total += np.square(a[..., 2] - b[..., 2])
+
+def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Squared distances [m²] of points (3, ...) that broadcast, squares summed as x, y, z."""
+    total: NDArray[np.float32] = a[0] - b[0]
+    total *= total
+    for axis in (1, 2):
+        square = a[axis] - b[axis]
+        square *= square
+        total += square
     return total
 
 
@@ -35,11 +40,13 @@ def farthest_points(points: Points, count: int) -> Rows:
     Returns:
         (count,) rows in the order of picking.
     """
+    xyz = np.ascontiguousarray(points.T)
     picked = np.zeros(count, np.int64)
     distance = np.full(len(points), np.inf, np.float32)
     for i in range(1, count):
-        np.minimum(distance, squared_distances(points, points[picked[i - 1]]), out=distance)
-        picked[i] = np.argmax(distance)
+        last = picked[i - 1]
+        np.minimum(distance, squared_distances(xyz, xyz[:, last, None]), out=distance)
+        picked[i] = distance.argmax()
     return picked
 
 
@@ -67,20 +74,57 @@ def ball_query(
     Returns:
         One for each radius.
     """
-    found = [np.zeros((len(centres), k), np.int64) for k in most]
-    counts = [np.zeros(len(centres), np.int64) for _ in most]
-    for start in range(0, len(centres), 64):
-        chunk = slice(start, start + 64)
-        distance = squared_distances(points, centres[chunk, None])
-        for radius, k, index, count in zip(radii, most, found, counts, strict=True):
-            row, column = np.nonzero(distance <= np.float32(radius * radius))
-            first = np.searchsorted(row, np.arange(len(distance)))
-            rank = np.arange(len(row)) - first[row]
-            kept = rank < k
-            index[chunk] = column[first][:, None]
-            index[start + row[kept], rank[kept]] = column[kept]
-            count[chunk] = np.minimum(np.diff(first, append=len(row)), k)
-    return [Neighbours(i, c) for i, c in zip(found, counts, strict=True)]
+    index = [np.empty((len(centres), k), np.int64) for k in most]
+    count = [np.empty(len(centres), np.int64) for _ in most]
+    xyz = np.ascontiguousarray(points.T)
+    for group in _groups(centres):
+        near, distance = _near(xyz, centres[group], max(radii))
+        start = np.arange(len(group) + 1) * len(near)
+        for radius, k, index_of, count_of in zip(radii, most, index, count, strict=True):
+            hit = np.flatnonzero(distance <= np.float32(radius * radius))  # centre by centre
+            first = hit.searchsorted(start)
+            hits = np.diff(first)[:, None]
+            slot = np.arange(k)
+            slot = first[:-1, None] + slot * (slot < hits)
+            index_of[group] = near.take(hit.take(slot) - start[:-1, None])
+            count_of[group] = np.minimum(hits[:, 0], k)
+    return [Neighbours(i, c) for i, c in zip(index, count, strict=True)]
+
+
+def _near(
+    xyz: NDArray[np.float32], centres: Points, reach: float
+) -> tuple[Rows, NDArray[np.float32]]:
+    """The points (columns of ``xyz``) in the box that holds all within ``reach`` of a centre.
+
+    Returns:
+        Their columns, ascending (C,); squared distances [m²] of every centre to them (M, C).
+    """
+    reach *= 1 + 1e-5  # the box is rounded
+    lower, upper = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+    near = np.flatnonzero(
+        (xyz[0] >= lower[0])
+        & (xyz[0] <= upper[0])
+        & (xyz[1] >= lower[1])
+        & (xyz[1] <= upper[1])
+        & (xyz[2] >= lower[2])
+        & (xyz[2] <= upper[2])
+    )
+    return near, squared_distances(centres.T[:, :, None], xyz.take(near, axis=1)[:, None])
+
+
+def _groups(points: Points) -> list[Rows]:
+    """Divides points by halves into groups of at most ``GROUP`` that lie close together."""
+    todo, groups = [np.arange(len(points))], []
+    while todo:
+        rows = todo.pop()
+        if len(rows) <= GROUP:
+            groups.append(rows)
+            continue
+        p = points[rows]
+        half = len(rows) // 2
+        order = rows[p[:, np.ptp(p, axis=0).argmax()].argpartition(half)]
+        todo += [order[:half], order[half:]]
+    return groups
 
 
 def three_nearest(points: Points, sources: Points) -> tuple[Rows, NDArray[np.float32]]:
@@ -95,7 +139,7 @@ def three_nearest(points: Points, sources: Points) -> tuple[Rows, NDArray[np.flo
     Returns:
         Rows of the sources (M, 3), nearest first, and weights (M, 3) that sum to 1.
     """
-    distance = squared_distances(points[:, None], sources)
+    distance = squared_distances(points.T[:, :, None], sources.T[:, None])
     every = np.arange(len(points))
     index = np.zeros((len(points), 3), np.int64)
     nearest = np.zeros((len(points), 3), np.float32)
