@@ -10,8 +10,9 @@ from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import key_variables, quoted, read_key, require_key
+from tog_drake.selectors.vlm.keys import key_variables, read_key, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.visible_text import quoted
 
 _OPENAI = "https://api.openai.com/v1"
 _OPTIONAL = {
