@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; what a person wrote is read, or refused with the reason."""
+"""Files are written whole or not at all; what a person wrote is read, or refused with why."""
 
 import os
 from pathlib import Path
