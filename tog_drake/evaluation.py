@@ -241,8 +241,7 @@ def _run_batch(
 
 def cell_scenario(cell: Cell) -> Scenario:
     """Returns the scenario of a cell, but for the selector, which the caller puts in."""
-    scenario = load_scenario(cell.scenario, cell.text)
-    scenario.random_seed = cell.seed
+    scenario = load_scenario(cell.scenario, cell.text, seed=cell.seed)
     if cell.asset:
         scenario.asset = cell.object
     if cell.noise:
