@@ -72,6 +72,7 @@ def run(
 ) -> None:
     """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
     from tog_drake.cameras import with_noise
+    from tog_drake.cells import scenario_of
     from tog_drake.episode import run_episode
     from tog_drake.record import save_record
     from tog_drake.report import write_report
@@ -82,7 +83,7 @@ def run(
     console = console_for(as_json)
     check_folder(out)
     read_task(task)  # a task without words is refused before anything starts
-    name = scenario or _scenario_of(object_)
+    name = scenario or (DEFAULT_SCENARIO if object_ is None else scenario_of(object_))
     loaded = load_scenario(name, scenario_text, seed=seed)
     selector.apply(loaded.pipeline, fallback="geometric")
     _override(loaded.pipeline, proposer, k)
@@ -100,19 +101,6 @@ def run(
     say(console, f"report: {out / 'report.html'}")
     print_json(as_json, episode.record)
     raise typer.Exit(0 if episode.record["outcome"] == "lifted" else 1)
-
-
-def _scenario_of(object_: str | None) -> str:
-    """The scenario of an object that is named alone; else the default one."""
-    from tog_drake.evaluation import scenario_names
-
-    if object_ is None:
-        return DEFAULT_SCENARIO
-    plain = {name.lower(): name for name in scenario_names(["objects"])}
-    found = plain.get(object_.replace("_", "").replace(" ", "").lower())
-    if found is None:
-        raise InputError(f"unknown object {object_!r}; valid: {', '.join(plain)}")
-    return found
 
 
 def demo(

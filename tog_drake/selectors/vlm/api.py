@@ -29,7 +29,7 @@ class Api(ABC):
     profile: str | None = None  # how the model points; None: as its name tells
     key_variable: str | None = None  # environment variable of the key; None: see ``keys``
     max_tokens: int = 4096  # of an answer, reasoning included
-    effort: str | None = None  # of reasoning: low, medium, high (OpenAi: none, too); None: as usual
+    effort: str | None = None  # of reasoning: low, medium, high; None: by default
 
     @abstractmethod
     def url(self) -> str:
