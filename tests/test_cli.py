@@ -16,6 +16,7 @@ import yaml
 from command import refused, tog
 
 from tog_drake import cli, evaluation, summary
+from tog_drake.cells import CLUTTER, SCANNED, make_cells, scenario_names, scenario_of
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import scenario_files
@@ -336,7 +337,7 @@ def test_with_two_objects_it_asks_which_one_is_meant(tmp_path):
 
 @pytest.mark.parametrize("name", ["toy_dinosaur", "Toy Dinosaur", "ToyDinosaur"])
 def test_an_object_may_be_spelled_as_people_do(name):
-    assert cli._scenario_of(name) == "ToyDinosaur"
+    assert scenario_of(name) == "ToyDinosaur"
 
 
 @pytest.mark.parametrize("wait", [0.0, 3.0], ids=["while it is built", "while it runs"])
@@ -449,7 +450,7 @@ def test_eval_runs_every_task_of_an_object_and_counts_failures(out_of_view, tmp_
 
 def test_eval_asks_for_every_object_of_a_scenario(tmp_path):
     two = _write_scenario(tmp_path / "two.yaml", _hammer_at(0.5, "left"), _hammer_at(0.7, "right"))
-    cells = evaluation.make_cells([str(two)], ["oracle"], [0, 1], tasks=["handover"])
+    cells = make_cells([str(two)], ["oracle"], [0, 1], tasks=["handover"])
     assert [(cell.object, cell.seed) for cell in cells] == [
         ("left", 0), ("left", 1), ("right", 0), ("right", 1),
     ]  # fmt: skip
@@ -460,21 +461,21 @@ def test_eval_asks_for_every_object_of_a_scenario(tmp_path):
 
 def test_a_selector_that_does_not_read_the_task_runs_once_for_all_tasks():
     tasks = ("use the hammer", "hand me the hammer")
-    blind = evaluation.make_cells(["Hammer"], ["top-score"], [0], tasks=["use", "handover"])
-    reading = evaluation.make_cells(["Hammer"], ["oracle"], [0], tasks=["use", "handover"])
+    blind = make_cells(["Hammer"], ["top-score"], [0], tasks=["use", "handover"])
+    reading = make_cells(["Hammer"], ["oracle"], [0], tasks=["use", "handover"])
     assert [cell.tasks for cell in blind] == [tasks]
     assert [cell.tasks for cell in reading] == [tasks[:1], tasks[1:]]
 
 
 def test_the_parts_are_named_in_turn_by_the_seed():
-    cells = evaluation.make_cells(["Mug"], ["oracle"], [0, 1, 2], tasks=["part"])
+    cells = make_cells(["Mug"], ["oracle"], [0, 1, 2], tasks=["part"])
     assert [cell.tasks[0].split()[-1] for cell in cells] == ["handle", "body", "handle"]
 
 
 def test_groups_stand_for_all_single_objects_and_all_clutter():
-    objects, clutter = (evaluation.scenario_names([group]) for group in ("objects", "clutter"))
-    assert clutter == list(evaluation.CLUTTER)
-    assert set(objects) == set(scenario_files()) - set(clutter) - set(evaluation.SCANNED)
+    objects, clutter = (scenario_names([group]) for group in ("objects", "clutter"))
+    assert clutter == list(CLUTTER)
+    assert set(objects) == set(scenario_files()) - set(clutter) - set(SCANNED)
 
 
 def test_eval_refuses_an_unknown_kind_of_task(tmp_path):

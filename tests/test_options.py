@@ -1,11 +1,13 @@
 """Who chooses the grasp, as the command line says it."""
 
+import inspect
+
 import pytest
 from command import refused, tog
 from vlm_server import KEY_VARIABLES
 
 from tog_drake.errors import InputError
-from tog_drake.options import SelectorOptions
+from tog_drake.options import SelectorOptions, spread
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.strategies import STRATEGIES
@@ -164,3 +166,19 @@ def test_choose_takes_the_same_options():
 def test_a_selector_that_asks_a_model_needs_one():
     with pytest.raises(InputError, match="no model"):
         applied(selector="vlm")
+
+
+def test_a_command_takes_its_options_together_and_typer_one_by_one():
+    taken = []
+
+    @spread(without=["selector", "fallback"])
+    def command(*, out: str, options: SelectorOptions, seed: int = 0) -> None:
+        taken.append((out, options, seed))
+
+    parameters = inspect.signature(command).parameters
+    fields = [f for f in SelectorOptions.__dataclass_fields__ if f not in ("selector", "fallback")]
+    assert list(parameters) == ["out", *fields, "seed"]
+    assert parameters["votes"].default is None
+    assert parameters["out"].default is inspect.Parameter.empty
+    command(out="o", seed=3, **{**dict.fromkeys(fields), "votes": 2})
+    assert taken == [("o", SelectorOptions(votes=2), 3)]

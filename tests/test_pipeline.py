@@ -7,7 +7,7 @@ from pydrake.systems.analysis import Simulator
 import tog_drake.pipeline
 from tog_drake.episode import build_world
 from tog_drake.errors import InputError
-from tog_drake.pipeline import STAGE_PORTS, PipelineConfig, decide, make_selector
+from tog_drake.pipeline import STAGES, PipelineConfig, decide, make_selector
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.oracle import Oracle
 
@@ -28,7 +28,7 @@ def looked():
 def test_every_stage_gives_its_value_and_its_time(looked):
     _, _, decision = looked
     assert decision.error is None
-    assert all(getattr(decision, port) is not None for port in STAGE_PORTS)
+    assert all(getattr(decision, stage.port) is not None for stage in STAGES)
     assert set(decision.seconds) == {
         "render", "cloud", "propose", "filter", "candidates", "select", "plan"
     }  # fmt: skip

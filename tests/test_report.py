@@ -1,12 +1,10 @@
 import base64
 import gzip
-import os
 import re
 import shutil
 import subprocess
 import unicodedata
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial
 
-from tog_drake.files import write_atomically
 from tog_drake.report import EpisodeReport, _spread, report_html, write_report
 from tog_drake.values import Exchange, GraspMotion, Intrinsics, View
 from tog_drake.visualization import make_meshcat, replay_html
@@ -375,32 +372,6 @@ def test_two_episodes_with_replays_of_five_megabytes_fit_into_fifteen(tmp_path):
 def test_labels_of_the_plot_keep_apart_and_in_order():
     placed = _spread([50.0, 10.0, 12.0, 11.0])
     assert placed == [50.0, 10.0, 34.0, 22.0]
-
-
-def test_a_written_file_is_complete_and_the_folder_is_made(tmp_path):
-    path = tmp_path / "a" / "b.txt"
-    write_atomically(path, "grüße")
-    write_atomically(path, b"\x00\xff")
-    assert path.read_bytes() == b"\x00\xff"
-    assert [p.name for p in path.parent.iterdir()] == ["b.txt"]
-    umask = os.umask(0)
-    os.umask(umask)
-    assert path.stat().st_mode & 0o777 == 0o666 & ~umask
-
-
-@pytest.mark.parametrize("broken", [OSError("disk full"), KeyboardInterrupt()])
-@pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, broken, step):
-    def fail(*args):
-        raise broken
-
-    path = tmp_path / "report.html"
-    write_atomically(path, "old")
-    monkeypatch.setattr(os if step == "fsync" else Path, step, fail)
-    with pytest.raises(type(broken)):
-        write_atomically(path, "new")
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
-    assert path.read_text() == "old"
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")

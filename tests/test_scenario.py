@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import scanned_bar
 
+from tog_drake.cells import SCANNED
 from tog_drake.errors import InputError
-from tog_drake.evaluation import SCANNED
 from tog_drake.pipeline import Antipodal, Oracle, Random
 from tog_drake.scenario import (
     DrakeModels,

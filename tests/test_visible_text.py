@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tog_drake.visible_text import visible
+from tog_drake.visible_text import quoted, visible
 
 ANY_TEXT = st.text(st.characters())  # lone surrogates, controls and overrides among them
 
@@ -43,3 +43,11 @@ def test_no_text_keeps_a_hidden_character_and_all_can_be_written(text):
     shown.encode()
     assert not any(unicodedata.category(c)[0] == "C" for c in shown)
     assert visible(shown) == shown
+
+
+@given(ANY_TEXT)
+def test_what_is_quoted_is_one_printable_line(text):
+    line = quoted(text)
+    assert line.isprintable()
+    assert len(line) < 12 * 200 + 50
+    line.encode()

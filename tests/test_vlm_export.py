@@ -9,8 +9,8 @@ from command import refused, tog
 from test_replay import same
 from vlm_server import KEY, VlmServer
 
+from tog_drake.cells import Cell, cell_scenario
 from tog_drake.episode import build_world, look
-from tog_drake.evaluation import Cell, cell_scenario
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.selectors.vlm.cassette import Cassette

@@ -8,7 +8,7 @@ from pydrake.common.yaml import yaml_load_typed
 from tog_drake.errors import InputError
 from tog_drake.selectors.vlm.anthropic import Anthropic
 from tog_drake.selectors.vlm.gemini import Gemini
-from tog_drake.selectors.vlm.keys import quoted, read_key, redact, require_key
+from tog_drake.selectors.vlm.keys import read_key, redact, require_key
 from tog_drake.selectors.vlm.openai import Molmo, OpenAi, Qwen
 from tog_drake.selectors.vlm.prices import load_prices
 from tog_drake.selectors.vlm.specification import (
@@ -263,14 +263,6 @@ def test_no_stretch_of_a_key_is_left_in_a_text(before, after, start, length):
 @given(st.text(st.characters()))
 def test_text_without_keys_stays_as_it_is(text):
     assert redact(text, [KEY, ""]) == text
-
-
-@given(st.text(st.characters()))
-def test_what_is_quoted_is_one_printable_line(text):
-    line = quoted(text, [KEY])
-    assert line.isprintable()
-    assert len(line) < 12 * 200 + 50
-    line.encode()
 
 
 def test_prices_know_whom_they_are_paid_to(monkeypatch):

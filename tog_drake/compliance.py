@@ -24,52 +24,17 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
-from scipy.spatial import cKDTree
 
 from tog_drake.assets.model import CORE, SKIN
-from tog_drake.assets.surface import read_core, surface_points
 from tog_drake.errors import InputError
+from tog_drake.labelled_surface import UNLABELLED, LabelledSurface, Shares, labelled_surface
 from tog_drake.object_parts import ObjectParts
 from tog_drake.panda import PAD_WIDTH
-from tog_drake.regions import Region, region_of
 from tog_drake.values import Array, Grasps
-
-UNLABELLED = "unlabelled"  # the one part of an object that has no labels
 
 Planes = tuple[Array, Array, float]
 """Outward normals (F, 3), offsets (F,) [m] and the distance of the farthest corner from the origin
 [m], in the frame of the geometry."""
-
-
-@dataclass(frozen=True)
-class LabelledSurface:
-    """The surface of a scanned object, whose regions say what part a place on it belongs to."""
-
-    body: BodyIndex  # the frame of its points
-    parts: tuple[tuple[str, str], ...]  # (model instance, part) of each region, then unlabelled
-    regions: tuple[Region, ...]
-    tree: cKDTree  # of points on it [m]
-    part: NDArray[np.int64]  # row of ``parts`` for each of these
-
-    def shares(self, p_O: Array, weight: Array) -> dict[tuple[str, str], float]:
-        """Returns the weight (N,) of the points (N, 3) that lie on each part."""
-        shares: dict[tuple[str, str], float] = {}
-        for i, w in zip(region_of(self.regions, p_O), weight, strict=True):
-            shares[self.parts[i]] = shares.get(self.parts[i], 0.0) + float(w)
-        return shares
-
-
-def labelled_surface(
-    model: str, core: Path, regions: tuple[Region, ...], body: BodyIndex
-) -> LabelledSurface:
-    """Returns the surface of a model instance, read from the file of its core."""
-    points = surface_points(*read_core(core))
-    names = [*(region.part for region in regions), UNLABELLED]  # the last is that of row -1
-    row = region_of(regions, points) % len(names)
-    return LabelledSurface(
-        body, tuple((model, name) for name in names), regions, cKDTree(points), row
-    )
 
 
 @dataclass(frozen=True)
@@ -126,23 +91,28 @@ class PartLabels:
         planes = {g: _planes(inspector, g) for g in part_of}
         return PartLabels(part_of, objects, planes, surfaces)
 
-    def closing_region(
-        self, grasps: Grasps, query_object: QueryObject
-    ) -> list[dict[tuple[str, str], float]]:
+    def closing_region(self, grasps: Grasps, query_object: QueryObject) -> list[Shares]:
         """Returns the share of each (model instance, part) in what each grasp closes on.
 
         The box between the pads, a little wider than they are, is sampled; each sample counts for
-        the part nearest to it, if one is near.
+        the part nearest to it, if one is near. The samples nearest to a scanned object are shared
+        out by what the pads would press of it: it has a surface, but no inside.
         """
         if len(grasps) == 0:
             return []
         samples = _region_samples(grasps)
         parts, nearest = self.nearest_part(samples.reshape(-1, 3), query_object, _CONTACT_REACH)
-        regions = []
+        regions: list[Shares] = []
         for row in nearest.reshape(samples.shape[:2]):
             found, counts = np.unique(row[row >= 0], return_counts=True)
             shares = counts / counts.sum()
             regions.append({parts[i]: float(s) for i, s in zip(found, shares, strict=True)})
+        for geometry, surface in self.surfaces.items():
+            X_WO = query_object.GetPoseInWorld(geometry).GetAsMatrix4()
+            for region, pressed in zip(regions, surface.pressed(X_WO, grasps), strict=True):
+                if pressed:
+                    of_it = [region.pop(part, 0.0) for part in dict.fromkeys(surface.parts)]
+                    region |= {part: sum(of_it) * share for part, share in pressed.items()}
         return regions
 
     def nearest_part(
@@ -184,7 +154,7 @@ class PartLabels:
         contacts: ContactResults,
         pads: frozenset[GeometryId],
         poses: Sequence[RigidTransform],
-    ) -> dict[tuple[str, str], float]:
+    ) -> Shares:
         """Returns the force [N] of the finger pads on each (model instance, part).
 
         Where a pad meets a scanned object, each face of the patch of contact counts for the part
@@ -195,7 +165,7 @@ class PartLabels:
             pads: the geometries of the fingers.
             poses: X_WB of every body, by its index.
         """
-        force: dict[tuple[str, str], float] = {}
+        force: Shares = {}
         for i, (a, b, newtons) in enumerate(contact_forces(contacts)):
             other = b if a in pads else a if b in pads else None
             if other in self.part_of:

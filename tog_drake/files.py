@@ -1,10 +1,14 @@
-"""Writing a file so that nobody ever sees half of it, and asking beforehand whether one can."""
+"""Writing a file so that nobody ever sees half of it, asking beforehand whether one can, and
+reading one that a person wrote."""
 
 import os
 import secrets
 from pathlib import Path
+from typing import Any
 
 from tog_drake.errors import InputError
+
+MAX_YAML_BYTES = 1_000_000
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
@@ -53,3 +57,24 @@ def check_file(file: Path, option: str = "--out") -> None:
     if file.exists() and not file.is_file():
         raise InputError(f"{option} {file} is no ordinary file; name one")
     check_folder(file.parent, option)
+
+
+def read_yaml(file: Path) -> Any:
+    """Returns what a YAML file says that a person wrote; whether it makes sense is for the caller.
+
+    Raises:
+        InputError: it cannot be read, is too large, or is no YAML. The message says why, and
+            leaves it to the caller to say what the file is and what belongs into it.
+    """
+    import yaml
+
+    try:
+        with file.open("rb") as opened:
+            data = opened.read(MAX_YAML_BYTES + 1)
+        if len(data) > MAX_YAML_BYTES:
+            raise InputError(f"it has more than {MAX_YAML_BYTES} bytes")
+        return yaml.safe_load(data.decode())
+    except RecursionError as error:
+        raise InputError("it is nested too deeply") from error
+    except (OSError, yaml.YAMLError, ValueError) as error:  # of its bytes, or a date such as 0-0-0
+        raise InputError(str(error)) from error

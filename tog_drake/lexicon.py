@@ -10,9 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import yaml
-
 from tog_drake.errors import InputError
+from tog_drake.files import read_yaml
 
 Kind = Literal["tool", "vessel", "bottle", "drill", "animal"]
 End = Literal["wide", "thin", "flat"]
@@ -121,8 +120,8 @@ def load_lexicon(path: Path) -> Lexicon:
         InputError: if it cannot be read, a section is missing or unknown, or a word stands twice.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError) as error:
+        content = read_yaml(path)
+    except InputError as error:
         raise InputError(f"cannot read the lexicon {path}: {error}") from error
     lists = [f.name for f in fields(Grammar)]
     named = ["kinds", "objects", "parts", "colours", "use_verbs", "contractions"]

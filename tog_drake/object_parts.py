@@ -3,17 +3,14 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from tog_drake.assets.model import MODEL
 from tog_drake.errors import InputError
+from tog_drake.files import read_yaml
 from tog_drake.grammar import lemma
 from tog_drake.lexicon import LEXICON
 from tog_drake.regions import Region, read_regions
 from tog_drake.resources import resource_dir
 from tog_drake.task import read_task
-
-_MAX_BYTES = 1_000_000  # of part labels
 
 
 @dataclass(frozen=True)
@@ -61,9 +58,7 @@ def load_parts(path: Path) -> ObjectParts:
         InputError: if the file is missing or not of that form.
     """
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(f"it has more than {_MAX_BYTES} bytes")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path)
         parts = content["parts"]
         scanned = "regions" in content
         labels = ObjectParts(
@@ -76,10 +71,7 @@ def load_parts(path: Path) -> ObjectParts:
             tasks={intent: tuple(allowed) for intent, allowed in content["tasks"].items()},
             regions=read_regions(content["regions"], list(parts)) if scanned else (),
         )
-    except (
-        OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, KeyError, TypeError,
-        AttributeError, InputError
-    ) as error:  # fmt: skip
+    except (InputError, LookupError, TypeError, AttributeError) as error:
         raise InputError(
             f"cannot read part labels from {path}: {error}; a labelled object has a parts.yaml "
             "beside its SDF with the keys object, words, parts and tasks, and regions where it is "

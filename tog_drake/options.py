@@ -3,10 +3,12 @@
 Nothing heavy is imported here: the help stays quick.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -14,6 +16,7 @@ from tog_drake.errors import InputError
 from tog_drake.files import check_file
 
 if TYPE_CHECKING:
+    from tog_drake.cells import Cell
     from tog_drake.pipeline import PipelineConfig
     from tog_drake.selectors.vlm.selector import Vlm
 
@@ -25,19 +28,19 @@ MODEL_HELP = (
     "GEMINI_API_KEY, ANTHROPIC_API_KEY; elsewhere than there or on this machine, VLM_API_KEY."
 )
 _REPLAY = "replay:"
+DEFAULT_SCENARIO = "Hammer"
 
 ScenarioOption = Annotated[
     str | None,
-    typer.Option("--scenario", help="Name (see `tog scenarios`) or YAML file; by default Hammer."),
+    typer.Option(
+        "--scenario",
+        help=f"Name (see `tog scenarios`) or YAML file; by default {DEFAULT_SCENARIO}.",
+    ),
 ]
 ScenarioText = Annotated[
     str | None, typer.Option(help="YAML that overrides single fields of the scenario.")
 ]
 TaskOption = Annotated[str, typer.Option(help="What the robot should do, in plain words.")]
-ProposerOption = Annotated[
-    str | None,
-    typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL."),
-]
 KOption = Annotated[
     str | None, typer.Option(help="How many candidates: a number, or auto (best silhouette).")
 ]
@@ -48,45 +51,19 @@ NoiseOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object as the last line of stdout.")
 ]
-SelectorOption = Annotated[
-    str | None, typer.Option(help="geometric | top-score | random | oracle | vlm")
-]
-StrategyOption = Annotated[
-    str | None,
-    typer.Option(
-        help="How a model is asked: gsi (default) | cpsi | gmi | cpmi | cpg | pivot | avoid;"
-        " `tog prompts` explains them."
-    ),
-]
-ModelOption = Annotated[
-    str | None,
-    typer.Option("--vlm", help=f"{MODEL_HELP} Or replay:FILE."),
-]
 ProfileOption = Annotated[
     str | None, typer.Option(help="How the model tells places, where its name does not tell.")
 ]
 RenderingOption = Annotated[
     str | None, typer.Option(help="What the model is shown: marked | paper.")
 ]
-VotesOption = Annotated[
-    int | None, typer.Option(min=1, max=2, help="2: asked again with the marks permuted.")
+
+SelectorOption = Annotated[
+    str | None, typer.Option(help="geometric | top-score | random | oracle | vlm")
 ]
-FallbackOption = Annotated[
+ModelOption = Annotated[
     str | None,
-    typer.Option(
-        help="Who chooses where the answer is no use: geometric | fail."
-        " By default: run, choose: geometric; eval: fail."
-    ),
-]
-DeadlineOption = Annotated[
-    float | None, typer.Option(help="[s] for all questions to a model; by default 120.")
-]
-RecordOption = Annotated[
-    Path | None, typer.Option(help="File that keeps questions and answers; none is asked twice.")
-]
-ReplayOption = Annotated[
-    Path | None,
-    typer.Option(help="Such a file to take all answers from, and the model; nothing is sent."),
+    typer.Option("--vlm", help=f"{MODEL_HELP} Or replay:FILE."),
 ]
 
 
@@ -94,16 +71,43 @@ ReplayOption = Annotated[
 class SelectorOptions:
     """Who chooses the grasp, and how a model is asked; None leaves the scenario's setting."""
 
-    selector: str | None = None
-    strategy: str | None = None
-    vlm: str | None = None
-    profile: str | None = None
-    rendering: str | None = None
-    votes: int | None = None
-    fallback: str | None = None
-    record: Path | None = None
-    replay: Path | None = None
-    deadline: float | None = None  # [s]
+    selector: SelectorOption = None
+    strategy: Annotated[
+        str | None,
+        typer.Option(
+            help="How a model is asked: gsi (default) | cpsi | gmi | cpmi | cpg | pivot | avoid;"
+            " `tog prompts` explains them."
+        ),
+    ] = None
+    vlm: ModelOption = None
+    profile: ProfileOption = None
+    rendering: RenderingOption = None
+    votes: Annotated[
+        int | None, typer.Option(min=1, max=2, help="2: asked again with the marks permuted.")
+    ] = None
+    fallback: Annotated[
+        str | None,
+        typer.Option(
+            help="Who chooses where the answer is no use: geometric | fail."
+            " By default: run, choose: geometric; eval: fail."
+        ),
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option(help="File that keeps questions and answers; none is asked twice."),
+    ] = None
+    replay: Annotated[
+        Path | None,
+        typer.Option(help="Such a file to take all answers from, and the model; nothing is sent."),
+    ] = None
+    deadline: Annotated[
+        float | None, typer.Option(help="[s] for all questions to a model; by default 120.")
+    ] = None
+
+    @property
+    def names_model(self) -> bool:
+        """Whether a model is named, or a cassette that names one."""
+        return self.vlm is not None or self.replay is not None
 
     def apply(
         self, config: "PipelineConfig", *, fallback: str | None = None, asks: bool = True
@@ -123,8 +127,8 @@ class SelectorOptions:
         from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 
         selector = self.selector
-        if selector is None and (self.vlm is not None or self.replay is not None):
-            selector = "vlm"  # to name a model, or a cassette that names one, is to choose by it
+        if selector is None and self.names_model:
+            selector = "vlm"  # to name one is to choose by it
         if selector is not None:
             kind = valid(selector, SELECTORS, "selector")
             if not isinstance(config.selector, kind):
@@ -185,7 +189,10 @@ class SelectorOptions:
 class ProposerOptions:
     """Who proposes grasps; None leaves the scenario's setting."""
 
-    proposer: str | None = None  # a name, file:PATH or remote:URL
+    proposer: Annotated[
+        str | None,
+        typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL."),
+    ] = None
 
     def apply(self, config: "PipelineConfig") -> None:
         """Puts the options into the config of a pipeline; its other settings stay.
@@ -218,6 +225,71 @@ def _proposer_forms() -> str:
     return ", ".join(
         f"{name}:{_PLACES[name].upper()}" if name in _PLACES else name for name in PROPOSERS
     )
+
+
+@dataclass(frozen=True)
+class SuiteOptions:
+    """What is run of the scenarios of a suite, and in how many processes."""
+
+    tasks: Annotated[
+        str, typer.Option(help="Asked of --scenarios, comma-separated: use, handover, part.")
+    ] = "use,handover"
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Poses of each object in --scenarios: seeds 0 .. N-1.")
+    ] = 5
+    noise: NoiseOption = False
+    scenario_text: ScenarioText = None
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2
+
+    def cells(self, scenarios: str, selectors: Sequence[str]) -> "list[Cell]":
+        """Returns the episodes; ``scenarios`` is comma-separated. Raises as ``make_cells``."""
+        from tog_drake.cells import make_cells, scenario_names
+
+        return make_cells(
+            scenario_names(names(scenarios)),
+            selectors,
+            range(self.seeds),
+            tasks=names(self.tasks),
+            noise=self.noise,
+            text=self.scenario_text,
+        )
+
+
+def spread(
+    *, without: Collection[str] = ()
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Lets a command take a dataclass of options; Typer and the help see one for each field.
+
+    Args:
+        without: fields that are no options of this command and keep their defaults.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        given = signature(command).parameters.values()
+        kinds = {
+            p.name: p.annotation
+            for p in given
+            if isinstance(p.annotation, type) and is_dataclass(p.annotation)
+        }
+
+        spread_out = [
+            option.replace(kind=Parameter.KEYWORD_ONLY)
+            for p in given
+            for option in (signature(kinds[p.name]).parameters.values() if p.name in kinds else [p])
+            if option.name not in without
+        ]
+
+        @wraps(command)
+        def called(**values: Any) -> None:
+            for name, kind in kinds.items():
+                known = [field.name for field in fields(kind) if field.name not in without]
+                values[name] = kind(**{field: values.pop(field) for field in known})
+            command(**values)
+
+        called.__signature__ = Signature(spread_out)  # type: ignore[attr-defined]
+        return called
+
+    return decorate
 
 
 def names(text: str) -> list[str]:

@@ -58,16 +58,26 @@ PROPOSERS: dict[str, type[ProposerConfig]] = {
 
 _TABLE_TOLERANCE = 0.002  # [m]
 
-# The stages' ports in the order of the data: each can be evaluated, timed and drawn by itself.
-STAGE_PORTS = (
-    "view",
-    "cloud",
-    "grasps",
-    "feasible_grasps",
-    "candidates",
-    "choice",
-    "motion",
+
+@dataclass(frozen=True)
+class Stage:
+    """A step from image to motion that can be evaluated, timed and drawn by itself."""
+
+    port: str  # of the pipeline, that holds its value
+    key: str  # of its wall time in a record
+    does: str  # for people
+
+
+STAGES = (
+    Stage("view", "render", "render the image"),
+    Stage("cloud", "cloud", "image to cloud"),
+    Stage("grasps", "propose", "propose grasps"),
+    Stage("feasible_grasps", "filter", "check feasibility"),
+    Stage("candidates", "candidates", "pick candidates"),
+    Stage("choice", "select", "choose for the task"),
+    Stage("motion", "plan", "plan the motion"),
 )
+"""In the order of the data."""
 
 
 @dataclass
@@ -302,10 +312,6 @@ def connect_to_station(
         builder.Connect(pipeline.GetOutputPort(name), station.GetInputPort(name))
 
 
-# The name under which each stage's wall time is recorded, in the order of STAGE_PORTS.
-STAGE_SECONDS = ("render", "cloud", "propose", "filter", "candidates", "select", "plan")
-
-
 @dataclass
 class Decision:
     """What the stages said in one look, in order; None from the stage on that failed."""
@@ -333,13 +339,13 @@ def decide(pipeline: GraspPipeline, context: Context) -> Decision:
     """
     mine = pipeline.GetMyContextFromRoot(context)
     decision = Decision()
-    for port, label in zip(STAGE_PORTS, STAGE_SECONDS, strict=True):
+    for stage in STAGES:
         start = time.perf_counter()
         try:
-            setattr(decision, port, pipeline.GetOutputPort(port).Eval(mine))
+            setattr(decision, stage.port, pipeline.GetOutputPort(stage.port).Eval(mine))
         except EpisodeError as error:
             decision.error = error
             break
         finally:
-            decision.seconds[label] = time.perf_counter() - start
+            decision.seconds[stage.key] = time.perf_counter() - start
     return decision

@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import STAGE_SECONDS, Decision, PipelineConfig
+from tog_drake.pipeline import STAGES, Decision, PipelineConfig
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
@@ -121,7 +121,7 @@ def new_record(
     if isinstance(error, NoFeasibleGrasp):
         counts["feasible"] = 0
     seconds: dict[str, float | None] = {
-        stage: decision.seconds.get(stage) for stage in STAGE_SECONDS
+        stage.key: decision.seconds.get(stage.key) for stage in STAGES
     }
     seconds["decide"] = sum(s for stage, s in decision.seconds.items() if stage != "render")
     seconds["execute"] = None

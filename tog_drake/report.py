@@ -19,20 +19,11 @@ from numpy.typing import NDArray
 
 from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
+from tog_drake.pipeline import STAGES
 from tog_drake.record import usage
 from tog_drake.values import Exchange, GraspMotion, View
 from tog_drake.visible_text import visible
 
-# The stages in the order of the data: key in the record's ``seconds``, and what it says.
-STAGES = {
-    "render": "render the image",
-    "cloud": "image to cloud",
-    "propose": "propose grasps",
-    "filter": "check feasibility",
-    "candidates": "pick candidates",
-    "select": "choose for the task",
-    "plan": "plan the motion",
-}
 FUNNEL = {
     "points": "points of the cloud",
     "proposed": "grasps proposed",
@@ -245,7 +236,7 @@ def _held(shares: Mapping[str, float]) -> str | None:
 
 def _timings(seconds: Mapping[str, float | None]) -> list[tuple[str, float, float]]:
     """Returns of each timed stage what it does, its seconds, and its share of the longest."""
-    timed = [(STAGES[key], value) for key in STAGES if (value := seconds.get(key)) is not None]
+    timed = [(s.does, value) for s in STAGES if (value := seconds.get(s.key)) is not None]
     longest = max((value for _, value in timed), default=0.0) or 1.0
     return [(text, value, value / longest) for text, value in timed]
 

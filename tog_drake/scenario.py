@@ -105,8 +105,15 @@ def scenario_files() -> dict[str, Path]:
     return {path.stem: path for path in sorted(resource_dir("diagrams").glob("*.yaml"))}
 
 
-def load_scenario(name_or_file: str, text: str | None = None) -> Scenario:
-    """Loads a scenario by name or from a file; ``text`` (YAML) overrides single fields of it.
+def load_scenario(
+    name_or_file: str, text: str | None = None, *, seed: int | None = None
+) -> Scenario:
+    """Loads a scenario by name or from a file.
+
+    Args:
+        name_or_file: which.
+        text: YAML that overrides single fields of it.
+        seed: overrides its ``random_seed``.
 
     Raises:
         InputError: if there is no such scenario, or a field or tag of it is unknown.
@@ -124,7 +131,11 @@ def load_scenario(name_or_file: str, text: str | None = None) -> Scenario:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read scenario {path}: {error}") from error
     scenario = parse_scenario(content, str(path), Scenario())
-    return parse_scenario(text, "--scenario-text", scenario) if text else scenario
+    if text:
+        scenario = parse_scenario(text, "--scenario-text", scenario)
+    if seed is not None:
+        scenario.random_seed = seed
+    return scenario
 
 
 def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:

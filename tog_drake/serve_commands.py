@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tog_drake.errors import InputError
-from tog_drake.options import ProposerOption, ProposerOptions
+from tog_drake.options import ProposerOptions, spread
 from tog_drake.terminal import console_for, say
 
 if TYPE_CHECKING:
@@ -24,8 +24,10 @@ def _serve() -> None:
 
 
 @app.command(epilog="Example: tog serve proposer --proposer antipodal --port 8001")
+@spread()
 def proposer(
-    proposer: ProposerOption = None,
+    *,
+    options: ProposerOptions,
     host: Annotated[
         str, typer.Option(help="Where to listen; 0.0.0.0 is every network of this machine.")
     ] = "127.0.0.1",
@@ -34,12 +36,12 @@ def proposer(
     """Propose grasps to `--proposer remote:URL` elsewhere, until Ctrl-C."""
     from tog_drake.pipeline import PipelineConfig
     from tog_drake.proposers.serving import ProposerServer
-    from tog_drake.selectors.vlm.keys import is_loopback
+    from tog_drake.urls import is_loopback
 
     console = console_for(as_json=False)
     config = PipelineConfig()
-    ProposerOptions(proposer).apply(config)
-    name = proposer or "antipodal"
+    options.apply(config)
+    name = options.proposer or "antipodal"
     try:
         server = ProposerServer(
             (host, port), name, _proposals(config), lambda line: say(console, line)

@@ -5,17 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from tog_drake.assets.library import library_dir
 from tog_drake.assets.model import MODEL
 from tog_drake.errors import InputError
+from tog_drake.files import read_yaml
 from tog_drake.object_parts import ObjectParts, labels_file, load_parts
 from tog_drake.record import EpisodeRecord
 from tog_drake.resources import resource_dir
 from tog_drake.summary import rows_by_scenario
 
-MAX_BYTES = 1_000_000
 PAPER = ("position", "use", "handover")
 """The paper's categories: specific position, tool use, handover."""
 CATEGORIES = (*PAPER, "choose")
@@ -47,19 +45,14 @@ def load_suite(path: Path) -> list[Trial]:
         InputError: it cannot be read, or a task does not read as the parts that it lists.
     """
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"it has more than {MAX_BYTES} bytes")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = read_yaml(path)
         return [
             trial
             for group in content["groups"]
             for task in group["tasks"]
             for trial in _trials(task, group["objects"], group.get("scenario", SCENARIO))
         ]
-    except (
-        OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError, KeyError, TypeError,
-        AttributeError, InputError
-    ) as error:  # fmt: skip
+    except (InputError, LookupError, TypeError, AttributeError, ValueError) as error:
         raise InputError(
             f"cannot read the suite {path}: {error}; it has groups, each of objects and tasks, "
             "these with category, task, allowed and forbidden"

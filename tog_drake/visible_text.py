@@ -27,6 +27,17 @@ def visible(text: str, *, limit: int | None = None, lines: bool = False) -> str:
     return shown + (f" … ({left:,} more characters)" if left else "")
 
 
+def quoted(text: str, limit: int = 200) -> str:
+    """Returns what somebody else wrote, fit for a message: on one line, and nothing hidden in it.
+
+    Args:
+        text: from a server or a file.
+        limit: the greatest number of characters that is shown.
+    """
+    line = " ".join(text[: 20 * limit].split())
+    return f'"{visible(line, limit=limit)}"'
+
+
 def _hidden(character: str) -> bool:
     return unicodedata.category(character) in _HIDDEN
 

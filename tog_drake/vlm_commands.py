@@ -1,5 +1,6 @@
 """The commands about vision-language models: ``tog prompts`` and ``tog vlm ...``."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,20 +9,17 @@ import typer
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
+    DEFAULT_SCENARIO,
     MODEL_FORMS,
     MODEL_HELP,
     JsonOption,
-    ModelOption,
-    NoiseOption,
     ProfileOption,
     RenderingOption,
     ScenarioOption,
-    ScenarioText,
     SeedOption,
     SelectorOptions,
-    StrategyOption,
-    VotesOption,
-    names,
+    SuiteOptions,
+    spread,
     valid,
 )
 from tog_drake.terminal import asking, console_for, print_json, say
@@ -29,7 +27,7 @@ from tog_drake.terminal import asking, console_for, print_json, say
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tog_drake.evaluation import Cell
+    from tog_drake.cells import Cell
     from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
@@ -141,11 +139,13 @@ def check(
     epilog="Example: tog vlm export --vlm gemini:gemini-3.8-flash --cassette mugs.jsonl "
     "--scenarios Mug,Cup --seeds 5",
 )
+@spread(without=["selector", "fallback", "record", "replay", "deadline"])
 def export(
+    *,
     cassette: Annotated[
         Path, typer.Option(help="File with the answers so far; the questions go there too.")
     ],
-    vlm: ModelOption = None,
+    options: SelectorOptions,
     task: Annotated[
         str | None, typer.Option(help="What the robot should do, in one scenario.")
     ] = None,
@@ -158,15 +158,7 @@ def export(
         str | None,
         typer.Option(help="A suite, as of tog eval: comma-separated, `objects` or `clutter`."),
     ] = None,
-    tasks: Annotated[str, typer.Option(help="Of a suite: use, handover, part.")] = "use,handover",
-    seeds: Annotated[int, typer.Option(min=1, help="Of a suite: seeds 0 .. N-1.")] = 5,
-    noise: NoiseOption = False,
-    scenario_text: ScenarioText = None,
-    strategy: StrategyOption = None,
-    profile: ProfileOption = None,
-    rendering: RenderingOption = None,
-    votes: VotesOption = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    suite: SuiteOptions,
     out: Annotated[
         Path, typer.Option(help="Folder for the batch files, the page and the blank answers.")
     ] = Path("out/vlm-export"),
@@ -176,7 +168,6 @@ def export(
 
     Only what the cassette has no answer to. Nothing is sent, and no key is needed.
     """
-    from tog_drake.evaluation import make_cells, scenario_names
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
@@ -190,15 +181,16 @@ def export(
     if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
         raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
     if scenarios is None:
-        cells = [_cell(task or "", scenario or "Hammer", object_, seed, noise, scenario_text)]
+        cells = [_cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, suite)]
     else:
-        suite = scenario_names(names(scenarios))
-        cells = make_cells(
-            suite, ["vlm"], range(seeds), tasks=names(tasks), noise=noise, text=scenario_text
-        )
-    options = SelectorOptions("vlm", strategy, vlm, profile, rendering, votes, fallback="fail")
+        cells = suite.cells(scenarios, ["vlm"])
     exported = export_questions(
-        cells, options, cassette=cassette, out=out, workers=workers, console=console
+        cells,
+        replace(options, selector="vlm", fallback="fail"),
+        cassette=cassette,
+        out=out,
+        workers=suite.workers,
+        console=console,
     )
     _say_exported(console, exported, cassette, out)
     if not exported.questions:
@@ -209,17 +201,17 @@ def export(
 
 
 def _cell(
-    task: str, scenario: str, object_: str | None, seed: int | None, noise: bool, text: str | None
+    task: str, scenario: str, object_: str | None, seed: int | None, suite: SuiteOptions
 ) -> "Cell":
     """Returns the one episode that is asked for; raises InputError where it makes no sense."""
-    from tog_drake.evaluation import Cell
+    from tog_drake.cells import Cell
     from tog_drake.scenario import load_scenario
     from tog_drake.task import read_task
 
     read_task(task)
     if seed is None:
-        seed = load_scenario(scenario, text).random_seed
-    return Cell(scenario, object_ or "", "vlm", seed, (task,), noise, text)
+        seed = load_scenario(scenario, suite.scenario_text).random_seed
+    return Cell(scenario, object_ or "", "vlm", seed, (task,), suite.noise, suite.scenario_text)
 
 
 def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO
 
 from tog_drake.errors import InputError
-from tog_drake.selectors.vlm.keys import quoted
+from tog_drake.visible_text import quoted
 
 GZIP = b"\x1f\x8b"
 ZIP = b"PK\x03\x04"

@@ -20,7 +20,7 @@ from tog_drake.assets.archive import GZIP, ZIP
 from tog_drake.assets.stream import Again, ask
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
-from tog_drake.selectors.vlm.keys import quoted
+from tog_drake.visible_text import quoted
 
 if TYPE_CHECKING:
     from requests import Response

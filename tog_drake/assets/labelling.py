@@ -29,10 +29,10 @@ from tog_drake.assets.library import asset_dir
 from tog_drake.assets.mesh import Faces
 from tog_drake.assets.model import CORE_FILE, MODEL
 from tog_drake.assets.surface import face_areas, read_core
-from tog_drake.compliance import UNLABELLED
 from tog_drake.contact_sheet import PART_COLORS, TONES
 from tog_drake.drawing import Image
 from tog_drake.errors import InputError
+from tog_drake.labelled_surface import UNLABELLED
 from tog_drake.object_parts import labels_file, load_parts
 from tog_drake.portrait import AZIMUTH, GROUND, INK, blank, in_rows, picture, write_words
 from tog_drake.regions import region_of

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urljoin, urlsplit
 
 from tog_drake.errors import InputError
-from tog_drake.selectors.vlm.keys import is_loopback, quoted
+from tog_drake.urls import host_of, is_loopback
+from tog_drake.visible_text import quoted
 
 if TYPE_CHECKING:
     from requests import Response
@@ -58,11 +59,6 @@ def ask(url: str, headers: dict[str, str]) -> "tuple[Response, Arriving]":
         arriving.close()
         url = _redirected(url, response.headers.get("Location", ""))
     raise InputError(f"{host_of(url)} redirects more than {REDIRECTS} times")
-
-
-def host_of(url: str) -> str:
-    """Returns host and port, fit for a message."""
-    return quoted(urlsplit(url).netloc.rpartition("@")[2]).strip('"')
 
 
 def _redirected(url: str, location: str) -> str:

@@ -6,10 +6,10 @@ https://docs.claude.com/en/api/messages
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
-from urllib.parse import urlsplit
 
-from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import key_variables, require_key
+from tog_drake.selectors.vlm.api import Api
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
+from tog_drake.selectors.vlm.keys import require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPTIONAL = {
@@ -27,28 +27,18 @@ _FINISH: dict[str, Literal["length", "refusal"]] = {
 
 
 @dataclass
-class Anthropic:
+class Anthropic(Api):
     """A Claude model of Anthropic."""
+
+    provider = "anthropic"
+    own_keys = ("ANTHROPIC_API_KEY",)
+    optional = _OPTIONAL
 
     model: str = ""  # such as claude-sonnet-5-5
     base_url: str = "https://api.anthropic.com"  # what comes before /v1/messages
-    profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
-    max_tokens: int = 4096  # of an answer, reasoning included
-    effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
-
-    @property
-    def provider(self) -> str:
-        return "anthropic"
-
-    def path(self) -> str:
-        return urlsplit(self.url()).path
 
     def url(self) -> str:
         return self.base_url.rstrip("/") + "/v1/messages"
-
-    def key_variables(self) -> tuple[str, ...]:
-        return key_variables(self.key_variable, ["ANTHROPIC_API_KEY"], self.url())
 
     def headers(self) -> dict[str, str]:
         key = require_key(self.key_variables(), self.url())
@@ -66,9 +56,6 @@ class Anthropic:
             "messages": [{"role": "user", "content": [_part(p, encode) for p in message.parts]}],
         }
         return {**body, "output_config": config} if config else body
-
-    def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
-        return spare(body, complaint, _OPTIONAL)
 
     def read(self, body: Any) -> Reply:
         content = at(body, "content")

@@ -6,10 +6,11 @@ https://ai.google.dev/api/generate-content
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 
-from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import key_variables, require_key
+from tog_drake.selectors.vlm.api import Api
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
+from tog_drake.selectors.vlm.keys import require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
 
 _OPTIONAL = {
@@ -36,29 +37,19 @@ _REFUSALS = frozenset(
 
 
 @dataclass
-class Gemini:
+class Gemini(Api):
     """A Gemini model of Google."""
+
+    provider = "gemini"
+    own_keys = ("GOOGLE_API_KEY", "GEMINI_API_KEY")
+    optional = _OPTIONAL
 
     model: str = ""  # such as gemini-3.8-flash
     base_url: str = "https://generativelanguage.googleapis.com"  # what comes before /v1beta
-    profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
-    max_tokens: int = 4096  # of an answer, reasoning included
-    effort: str | None = None  # of reasoning: low, medium, high; None: the model's default
-
-    @property
-    def provider(self) -> str:
-        return "gemini"
-
-    def path(self) -> str:
-        return urlsplit(self.url()).path
 
     def url(self) -> str:
         model = quote(self.model.removeprefix("models/"), safe="")
         return f"{self.base_url.rstrip('/')}/v1beta/models/{model}:generateContent"
-
-    def key_variables(self) -> tuple[str, ...]:
-        return key_variables(self.key_variable, ["GOOGLE_API_KEY", "GEMINI_API_KEY"], self.url())
 
     def headers(self) -> dict[str, str]:
         # Not as ?key=: addresses end up in logs.
@@ -73,9 +64,6 @@ class Gemini:
             config["thinkingConfig"] = {"thinkingLevel": self.effort}
         parts = [_part(part, encode) for part in message.parts]
         return {"contents": [{"role": "user", "parts": parts}], "generationConfig": config}
-
-    def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
-        return spare(body, complaint, _OPTIONAL)
 
     def read(self, body: Any) -> Reply:
         candidate = at(body, "candidates", 0)

@@ -8,11 +8,10 @@ else cannot send a provider's key elsewhere.
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 from tog_drake.errors import InputError
-from tog_drake.visible_text import visible
+from tog_drake.urls import is_loopback, is_private
 
 _VARIABLE = re.compile(r"[A-Z][A-Z0-9_]*_API_KEY")
 _PUBLIC_HEADERS = frozenset({"accept", "accept-encoding", "anthropic-version", "content-type"})
@@ -80,20 +79,6 @@ def require_key(variables: Iterable[str], url: str) -> str:
     raise InputError(f"no key: set the environment variable {' or '.join(variables)}")
 
 
-def is_private(url: str) -> bool:
-    """Whether what is sent there can be read by its server alone: https, or this machine."""
-    return urlsplit(url).scheme == "https" or is_loopback(url)
-
-
-def is_loopback(url: str) -> bool:
-    """Whether the URL's host is this machine."""
-    host = urlsplit(url).hostname or ""
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
 def secrets_in(headers: Mapping[str, str]) -> list[str]:
     """Returns the values of the headers that are not public, without their scheme (Bearer)."""
     values = (v for k, v in headers.items() if k.lower() not in _PUBLIC_HEADERS)
@@ -123,15 +108,3 @@ def redact(text: str, secrets: Iterable[str]) -> str:
             shown += [text[end:first], HIDDEN]
         end = max(end, last)
     return "".join([*shown, text[end:]])
-
-
-def quoted(text: str, secrets: Iterable[str] = (), limit: int = 200) -> str:
-    """Returns what somebody else wrote, fit for a message: on one line, and nothing hidden in it.
-
-    Args:
-        text: from a server.
-        secrets: that are not to be shown.
-        limit: the greatest number of characters that is shown.
-    """
-    line = " ".join(text[: 20 * limit].split())
-    return f'"{visible(redact(line, secrets), limit=limit)}"'

@@ -9,17 +9,20 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from tog_drake.selectors.vlm.bodies import at, count_at, short_at, spare, text_at, token_counts
-from tog_drake.selectors.vlm.keys import key_variables, quoted, read_key, require_key
+from tog_drake.selectors.vlm.api import Api
+from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
+from tog_drake.selectors.vlm.keys import read_key, require_key
 from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.visible_text import quoted
 
 _OPENAI = "https://api.openai.com/v1"
+# One is the old name of the other; servers know the old one, the new one, or both.
+_LIMITS = ("max_tokens", "max_completion_tokens")
 _OPTIONAL = {
     r"response_format|json_schema|structured.outputs?|guided": (("response_format",),),
     r"reasoning_effort|reasoning|thinking": (("reasoning_effort",),),
+    **{limit: ((limit,),) for limit in _LIMITS},
 }
-# One is the old name of the other; servers know the old one, the new one, or both.
-_LIMITS = ("max_tokens", "max_completion_tokens")
 _REASONING = ("reasoning", "reasoning_content", "thinking")  # where servers put it
 _FINISH: dict[str, Literal["length", "refusal"]] = {
     "length": "length",
@@ -28,31 +31,21 @@ _FINISH: dict[str, Literal["length", "refusal"]] = {
 
 
 @dataclass
-class OpenAi:
+class OpenAi(Api):
     """A model of OpenAI, or behind any server that speaks its protocol."""
+
+    provider = "openai"
+    own_keys = ("OPENAI_API_KEY",)
+    optional = _OPTIONAL
 
     model: str = ""  # as the server names it
     base_url: str = _OPENAI  # what comes before /chat/completions
-    profile: str | None = None  # how the model points; None: as its name tells
-    key_variable: str | None = None  # environment variable of the key; None: see ``keys``
-    max_tokens: int = 4096  # of an answer, reasoning included
-    effort: str | None = None  # of reasoning: none, low, medium, high; None: the server's default
-
-    @property
-    def provider(self) -> str:
-        return "openai"
-
-    def path(self) -> str:
-        return urlsplit(self.url()).path
 
     def url(self) -> str:
         return self.base_url.rstrip("/") + "/chat/completions"
 
     def _is_openai(self) -> bool:
         return urlsplit(self.base_url).hostname == urlsplit(_OPENAI).hostname
-
-    def key_variables(self) -> tuple[str, ...]:
-        return key_variables(self.key_variable, ["OPENAI_API_KEY"], self.url())
 
     def headers(self) -> dict[str, str]:
         """OpenAI itself wants a key; other servers get one where there is one."""
@@ -78,7 +71,7 @@ class OpenAi:
         return body
 
     def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
-        amended = spare(body, complaint, {**_OPTIONAL, **{n: ((n,),) for n in _LIMITS}})
+        amended = super().amend(body, complaint)
         if amended is not None and amended[1] in _LIMITS:
             other = _LIMITS[1 - _LIMITS.index(amended[1])]
             amended[0][other] = body[amended[1]]

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import yaml
-
 from tog_drake.errors import InputError
+from tog_drake.files import read_yaml
 
 VARIABLE = "TOG_PRICES"  # environment variable that names a file of one's own prices
-_MAX_BYTES = 1_000_000
 _VERSION = re.compile(r"-(\d{8}|\d{4}-\d{2}-\d{2}|\d{3})$")  # of a model, in the name returned
 
 
@@ -57,17 +55,13 @@ def load_prices() -> Prices:
 
 def _read(file: Path) -> tuple[str, dict[tuple[str, str], tuple[float, float]]]:
     try:
-        with file.open("rb") as opened:
-            data = opened.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise InputError(f"{VARIABLE}: {file} is too large for a table of prices")
-        content = yaml.safe_load(data)
+        content = read_yaml(file)
         table = {
             (str(host), str(model)): (_amount(price, "input"), _amount(price, "output"))
             for host, models in content["hosts"].items()
             for model, price in models.items()
         }
-    except (OSError, yaml.YAMLError, RecursionError) as error:
+    except InputError as error:
         raise InputError(f"{VARIABLE}: {file} cannot be read: {error}") from error
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(

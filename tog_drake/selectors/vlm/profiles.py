@@ -9,9 +9,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import yaml
-
 from tog_drake.errors import InputError
+from tog_drake.files import read_yaml
 
 Order = Literal["xy", "yx"]
 Format = Literal[
@@ -71,8 +70,8 @@ def load_profiles(path: Path) -> dict[str, Profile]:
         InputError: if it cannot be read, or an entry is not of that form; the message says where.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        content = read_yaml(path)
+    except InputError as error:
         raise InputError(f"cannot read the profiles {path}: {error}") from error
     if not isinstance(content, dict) or not content:
         raise InputError(f"{path}: no profiles; the file maps names to profiles")

@@ -7,7 +7,7 @@ a ``Message``; an API turns that into the body of a request, and the response in
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,47 +77,3 @@ class Unanswered(Exception):
     def __init__(self, status: AnswerStatus, message: str):
         super().__init__(message)
         self.status = status
-
-
-class Api(Protocol):
-    """How one provider wants to be asked: the config of a model is one of these.
-
-    ``body`` and ``read`` are functions of their arguments alone, so that a question can be hashed,
-    recorded and exported without being sent.
-    """
-
-    model: str  # as it is asked for
-    max_tokens: int  # of an answer, reasoning included
-    effort: str | None  # of reasoning; None: the server's default
-
-    @property
-    def provider(self) -> str:
-        """The first word of its specification: openai, gemini or anthropic."""
-        ...
-
-    def path(self) -> str:
-        """Of the request's URL, without host, such as /v1/chat/completions."""
-        ...
-
-    def url(self) -> str:
-        """Where the request goes."""
-        ...
-
-    def headers(self) -> dict[str, str]:
-        """Of the request, the key among them. Raises InputError where the key is missing."""
-        ...
-
-    def body(self, message: Message, encode: Callable[[Image], str]) -> dict[str, Any]:
-        """The request; ``encode`` gives the text that stands for an image, base64 of its PNG."""
-        ...
-
-    def read(self, body: Any) -> Reply:
-        """What a response of status 200 says. Raises Unanswered where that is nothing."""
-        ...
-
-    def amend(self, body: dict[str, Any], complaint: str) -> tuple[dict[str, Any], str] | None:
-        """The request without what a status 400 says is not taken, and the name of that.
-
-        None where the complaint is about something that the request cannot do without.
-        """
-        ...

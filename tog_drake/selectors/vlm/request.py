@@ -11,7 +11,8 @@ import numpy as np
 from tog_drake.drawing import encode_png
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.files import write_atomically
-from tog_drake.selectors.vlm.question import Api, Image, Message
+from tog_drake.selectors.vlm.api import Api
+from tog_drake.selectors.vlm.question import Image, Message
 
 MAX_IMAGE = 64_000_000  # [byte] of a PNG, and [pixel] in it
 

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from tog_drake.selectors.vlm.bodies import at, text_at
-from tog_drake.selectors.vlm.keys import is_loopback, quoted, redact, secrets_in
+from tog_drake.selectors.vlm.keys import redact, secrets_in
 from tog_drake.selectors.vlm.question import Unanswered
+from tog_drake.urls import host_of, is_loopback
+from tog_drake.visible_text import quoted
 
 if TYPE_CHECKING:
     from requests import Response
@@ -115,7 +117,7 @@ def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) 
         threading.Thread(target=work, name="tog-vlm-request", daemon=True).start()
         answer, error = outcome.get(timeout=left)
     except queue.Empty:
-        raise Unanswered("timed_out", f"no answer of {_host(url)} within the deadline") from None
+        raise Unanswered("timed_out", f"no answer of {host_of(url)} within the deadline") from None
     if error is not None:
         raise error from None
     return answer
@@ -142,17 +144,17 @@ def _attempt(deadline: float, url: str, headers: Mapping[str, str], data: bytes)
             ) as response:
                 text = _text_of(response, deadline)
     except requests.exceptions.SSLError as error:
-        what = f"{_host(url)} does not speak https; is it http://?"
+        what = f"{host_of(url)} does not speak https; is it http://?"
         if "CERTIFICATE" in str(error).upper():
-            what = f"the certificate of {_host(url)} is not valid"
+            what = f"the certificate of {host_of(url)} is not valid"
         raise Unanswered("unreachable", what) from None
     except ValueError as error:  # errors of requests among them
-        message = f"{_host(url)} cannot be asked ({type(error).__name__}); is its URL right?"
+        message = f"{host_of(url)} cannot be asked ({type(error).__name__}); is its URL right?"
         raise Unanswered("rejected", message) from None
     except (Unanswered, _Again):
         raise
     except Exception as error:  # of requests, or of what it stands on and does not always wrap
-        message = f"no connection to {_host(url)} ({type(error).__name__}); is it running?"
+        message = f"no connection to {host_of(url)} ({type(error).__name__}); is it running?"
         raise _Again(Unanswered("unreachable", message)) from None
     return _judge(response, text, url, secrets_in(headers))
 
@@ -183,8 +185,8 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
     """Returns the JSON of a good response; raises what the others mean."""
     code = response.status_code
     if 300 <= code < 400:
-        there = quoted(response.headers.get("Location", "nowhere"), secrets)
-        message = f"{_host(url)} redirects (status {code}) to {there}; give the right URL"
+        there = _quoted(response.headers.get("Location", "nowhere"), secrets)
+        message = f"{host_of(url)} redirects (status {code}) to {there}; give the right URL"
         raise Rejected(message, code)
     try:
         parsed = json.loads(text, parse_float=_finite, parse_constant=_finite)
@@ -193,19 +195,19 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
         body = None
     if code == 200:
         if body is None:
-            said = quoted(text, secrets)
+            said = _quoted(text, secrets)
             message = (
-                f"{_host(url)} answers with something else than JSON: {said}; is its URL right?"
+                f"{host_of(url)} answers with something else than JSON: {said}; is its URL right?"
             )
             raise Unanswered("unreachable", message)
         return body
     complaint = _complaint(body, text)
-    message = f"{_host(url)} answers with status {code}: {quoted(complaint, secrets)}"
+    message = f"{host_of(url)} answers with status {code}: {_quoted(complaint, secrets)}"
     if code in RETRYABLE and response.headers.get("x-should-retry") != "false":
         raise _Again(Unanswered("unreachable", message), _asked_delay(response, body), code)
     if code >= 500:
         raise Unanswered("unreachable", message)
-    raise Rejected(message + _hint(code, url), code, quoted(complaint, secrets, 1000))
+    raise Rejected(message + _hint(code, url), code, _quoted(complaint, secrets, 1000))
 
 
 def _hint(code: int, url: str) -> str:
@@ -284,6 +286,5 @@ def _cleaned(value: Any, secrets: list[str], depth: int = 100) -> Any:
     return value
 
 
-def _host(url: str) -> str:
-    parts = urlsplit(url)
-    return quoted(parts.netloc.rpartition("@")[2]).strip('"')
+def _quoted(text: str, secrets: list[str], limit: int = 200) -> str:
+    return quoted(redact(text[: 20 * limit], secrets), limit)

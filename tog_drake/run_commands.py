@@ -1,0 +1,267 @@
+"""The commands that run the pipeline: ``tog run``, ``demo``, ``choose`` and ``eval``."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tog_drake.errors import InputError
+from tog_drake.files import check_folder
+from tog_drake.options import (
+    DEFAULT_SCENARIO,
+    JsonOption,
+    KOption,
+    NoiseOption,
+    ProposerOptions,
+    ScenarioOption,
+    ScenarioText,
+    SeedOption,
+    SelectorOptions,
+    SuiteOptions,
+    TaskOption,
+    names,
+    spread,
+    valid,
+)
+from tog_drake.terminal import (
+    console_for,
+    deciding,
+    print_failures,
+    print_json,
+    print_rates,
+    print_stages,
+    say,
+)
+
+if TYPE_CHECKING:
+    from tog_drake.pipeline import PipelineConfig
+
+DEMO_TASKS = {
+    "use": "use the hammer to drive a nail",
+    "handover": "hand me the hammer",
+}
+
+
+@spread()
+def run(
+    *,
+    task: TaskOption,
+    scenario: ScenarioOption = None,
+    scenario_text: ScenarioText = None,
+    object_: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            help="Which object the task is about; alone, its scenario too. With a scenario of one "
+            "imported object, such as Tog29: which one to put there.",
+        ),
+    ] = None,
+    selector: SelectorOptions,
+    proposer: ProposerOptions,
+    k: KOption = None,
+    seed: SeedOption = None,
+    noise: NoiseOption = False,
+    out: Annotated[Path, typer.Option(help="Folder for episode.json and report.html.")] = Path(
+        "out/run"
+    ),
+    meshcat: Annotated[
+        bool, typer.Option(help="Show the run live on localhost, and its replay in the report.")
+    ] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.cameras import with_noise
+    from tog_drake.cells import scenario_of
+    from tog_drake.episode import run_episode
+    from tog_drake.record import save_record
+    from tog_drake.report import write_report
+    from tog_drake.scenario import load_scenario
+    from tog_drake.showing import report_of, show_live
+    from tog_drake.task import read_task
+
+    console = console_for(as_json)
+    check_folder(out)
+    read_task(task)  # a task without words is refused before anything starts
+    name = scenario or (DEFAULT_SCENARIO if object_ is None else scenario_of(object_))
+    loaded = load_scenario(name, scenario_text, seed=seed)
+    selector.apply(loaded.pipeline, fallback="geometric")
+    proposer.apply(loaded.pipeline)
+    _override(loaded.pipeline, k)
+    if loaded.asset is not None and object_ is not None:
+        loaded.asset = object_
+    if noise:
+        loaded.cameras = with_noise(loaded.cameras)
+    target = object_ if scenario is not None else None  # alone in a scenario of its own
+    live = show_live(console) if meshcat else None
+    with console.status(f"looking, {deciding(loaded.pipeline.selector)}, moving ..."):
+        episode = run_episode(loaded, name=name, task=task, target=target, meshcat=live)
+    save_record(out / "episode.json", episode.record)
+    write_report(out / "report.html", [report_of(episode)])
+    print_stages(console, episode.record)
+    say(console, f"report: {out / 'report.html'}")
+    print_json(as_json, episode.record)
+    raise typer.Exit(0 if episode.record["outcome"] == "lifted" else 1)
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the report and the episodes.")] = Path(
+        "out/demo"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Where the hammer lies.")] = 0,
+) -> None:
+    """One hammer, two tasks: held by the handle to use it, by the head to hand it over."""
+    from tog_drake.episode import run_episode
+    from tog_drake.record import save_record
+    from tog_drake.report import write_report
+    from tog_drake.scenario import load_scenario
+    from tog_drake.showing import report_of
+    from tog_drake.visualization import make_meshcat
+
+    console = console_for(as_json=False)
+    check_folder(out)
+    loaded = load_scenario(DEFAULT_SCENARIO, seed=seed)
+    episodes = []
+    for label, task in DEMO_TASKS.items():
+        with console.status(f"{task} ..."):
+            episode = run_episode(
+                loaded, name=DEFAULT_SCENARIO, task=task, target=None, meshcat=make_meshcat()
+            )
+        save_record(out / label / "episode.json", episode.record)
+        print_stages(console, episode.record)
+        episodes.append(episode)
+    write_report(out / "report.html", [report_of(episode) for episode in episodes])
+    say(console, f"report: {out / 'report.html'}")
+    good = all(episode.record["combined_success"] for episode in episodes)
+    raise typer.Exit(0 if good else 1)
+
+
+@spread()
+def choose(
+    *,
+    rgb: Annotated[Path, typer.Option(help="8-bit colour image.")],
+    depth: Annotated[Path, typer.Option(help="16-bit PNG, or float32 NPY or TIFF.")],
+    intrinsics: Annotated[Path, typer.Option(help="JSON {fx, fy, cx, cy, width, height}.")],
+    task: TaskOption,
+    depth_scale: Annotated[
+        float | None,
+        typer.Option(help="Depth units per metre; by default 1000 for PNG, 1 for floats."),
+    ] = None,
+    camera_pose: Annotated[
+        Path | None, typer.Option(help="JSON 4x4 matrix X_WC with z of W up; tells up.")
+    ] = None,
+    selector: SelectorOptions,
+    proposer: ProposerOptions,
+    k: KOption = None,
+    seed: SeedOption = None,
+    out: Annotated[Path, typer.Option(help="Folder for grasps.json, overlay.png and more.")] = Path(
+        "out/choose"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Choose a grasp on a saved view. Exit 0: chosen; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.choose import choose_on_view, grasps_record
+    from tog_drake.drawing import decision_image, encode_png
+    from tog_drake.files import write_atomically
+    from tog_drake.pipeline import PipelineConfig
+    from tog_drake.record import new_record, save_record
+    from tog_drake.report import EpisodeReport, write_report
+    from tog_drake.saved_view import load_pose, load_view
+    from tog_drake.vlm_record import exchanges_of
+
+    console = console_for(as_json)
+    check_folder(out)
+    config = PipelineConfig()
+    selector.apply(config, fallback="geometric")
+    proposer.apply(config)
+    _override(config, k)
+    view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
+    X_WC = None if camera_pose is None else load_pose(camera_pose)
+    with console.status(f"{deciding(config.selector)} ..."):
+        decision = choose_on_view(view, config, task=task, seed=seed or 0, X_WC=X_WC)
+    episode = new_record(decision, config, task=task, seed=seed or 0)
+    overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
+    write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
+    write_atomically(out / "overlay.png", encode_png(overlay))
+    save_record(out / "episode.json", episode)
+    report = EpisodeReport(
+        episode, decision.view or view, overlay, exchanges=exchanges_of(decision)
+    )
+    write_report(out / "report.html", [report])
+    print_stages(console, episode)
+    say(console, f"grasps: {out / 'grasps.json'}, picture: {out / 'overlay.png'}")
+    say(console, f"report: {out / 'report.html'}")
+    print_json(as_json, episode)
+    raise typer.Exit(0 if decision.error is None else 1)
+
+
+def _override(config: "PipelineConfig", k: str | None) -> None:
+    from tog_drake.candidates import candidate_counts
+
+    if k is not None:
+        config.candidates.k = k
+        candidate_counts(config.candidates)  # a wrong K is refused before anything starts
+
+
+@spread(without=["selector"])
+def evaluate_(
+    *,
+    selectors: Annotated[
+        str | None,
+        typer.Option(help="Comma-separated; by default top-score,oracle, or vlm with --vlm."),
+    ] = None,
+    options: SelectorOptions,
+    proposer: ProposerOptions,
+    scenarios: Annotated[
+        str,
+        typer.Option(
+            help="Comma-separated; `objects` is every single object, `clutter` all three, `tog29` "
+            "a suite of imported objects with tasks of its own."
+        ),
+    ] = "objects",
+    suite: SuiteOptions,
+    out: Annotated[
+        Path, typer.Option(help="Folder for episodes.jsonl and pictures of the failures.")
+    ] = Path("out/eval"),
+    as_json: JsonOption = False,
+) -> None:
+    """Run objects, seeds and tasks with each selector, and print the table of successes."""
+    from tog_drake.evaluation import evaluate
+    from tog_drake.pipeline import SELECTORS
+    from tog_drake.selectors.oracle import ORACLE_NOTE
+    from tog_drake.suite import rows_of_suites
+    from tog_drake.summary import agreement, failures, summarize
+
+    console = console_for(as_json)
+    check_folder(out)
+    chosen = names(selectors or ("vlm" if options.names_model else "top-score,oracle"))
+    for selector in chosen:
+        valid(selector, SELECTORS, "selector")
+    if "vlm" not in chosen and options.given():
+        raise InputError(
+            f"{', '.join(options.given())}: only a model is asked so; valid: with vlm among the "
+            "--selectors"
+        )
+    cells = suite.cells(scenarios, chosen)
+    records = evaluate(
+        cells,
+        workers=suite.workers,
+        out=out,
+        console=console,
+        options=options,
+        proposer=proposer,
+    )
+    rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
+    same = agreement(records)
+    print_rates(console, rows)
+    print_failures(console, failed)
+    say(
+        console,
+        f"the part between the fingers is the one that the pads press in {same['agree']} of "
+        f"{same['n']} lifts; where both are four fifths one part, in {same['clear_agree']} of "
+        f"{same['clear']}",
+    )
+    if "oracle" in chosen:
+        say(console, f"oracle: {ORACLE_NOTE}")
+    found = {"rows": rows, "failures": failed, "agreement": same}
+    print_json(as_json, found | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
