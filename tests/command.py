@@ -1,9 +1,12 @@
 """Runs the command ``tog`` in this process: what a shell would show, without starting Python."""
 
 import logging
+import os
+import re
 import signal
+import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from unittest.mock import patch
@@ -47,3 +50,26 @@ def refused(done: Done, *words: str) -> None:
     assert line.startswith("tog: ")
     for word in words:
         assert word in line
+
+
+@contextmanager
+def tog_serve(*arguments):
+    """``tog serve proposer`` in a process of its own; yields its URL, and ends it by Ctrl-C."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tog_drake.cli", "serve", "proposer", "--port", "0", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        line = process.stdout.readline()
+        found = re.search(r"http://\S+/propose", line)
+        assert found, line + process.stderr.read()
+        yield found[0]
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=60)
+        assert (process.returncode, told) == (130, "interrupted\n")
+    finally:
+        process.kill()
+        process.communicate()

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from command import refused, tog
+from command import refused, tog, tog_serve
 from tabletop import HAMMER_SIZED, RED, TABLE, look
 
 from tog_drake import choose
@@ -327,17 +327,51 @@ def test_a_file_in_the_way_of_the_output_is_said_before_the_work(folder, tmp_pat
 # --- a real frame -------------------------------------------------------------------------------
 
 
-def test_on_a_recorded_view_the_grasp_is_on_the_red_mug(shared_data, tmp_path):
+@pytest.fixture(scope="module")
+def mug(shared_data, tmp_path_factory):
+    """The options that name a recorded view of a mug, and the folder of what is chosen on it."""
     frame = shared_data / "rgbd" / "red_mug_6dof"
     info = json.loads((frame / "info.json").read_text(encoding="utf-8"))
-    done = tog(
-        "choose", "--rgb", frame / "color.png", "--depth", frame / "depth.png",
+    options = (
+        "--rgb", frame / "color.png", "--depth", frame / "depth.png",
         "--intrinsics", frame / "info.json", "--depth-scale", info["depth_units_per_metre"],
-        "--task", "hold the red mug by the handle", "--json", "--out", tmp_path / "out",
+        "--task", "hold the red mug by the handle", "--json",
     )  # fmt: skip
+    out = tmp_path_factory.mktemp("mug")
+    done = tog("choose", *options, "--out", out)
     assert done.status == 0, done.err
-    found = json.loads((tmp_path / "out" / "grasps.json").read_text(encoding="utf-8"))
+    return options, out
+
+
+def test_on_a_recorded_view_the_grasp_is_on_the_red_mug(mug):
+    options, out = mug
+    found = json.loads((out / "grasps.json").read_text(encoding="utf-8"))
     u, v = np.round(found["grasps"][found["choice"]]["pixel"]).astype(int)
-    bgr = cv2.imread(str(frame / "color.png"))[v - 6 : v + 7, u - 6 : u + 7].reshape(-1, 3)
+    bgr = cv2.imread(str(options[1]))[v - 6 : v + 7, u - 6 : u + 7].reshape(-1, 3)
     red = (bgr[:, 2] > 90) & (bgr[:, 2] > 1.8 * bgr[:, :2].max(axis=1))
     assert red.any(), f"no red near pixel {u, v}"
+
+
+def test_on_a_recorded_view_the_grasps_it_wrote_lead_to_the_same_choice(mug, tmp_path):
+    options, out = mug
+    written = out / "grasps.json"
+    done = tog("choose", *options, "--proposer", f"file:{written}", "--out", tmp_path)
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["proposer"] == {
+        "kind": "file", "path": str(written), "frame": None, "gripper": None
+    }  # fmt: skip
+    first = json.loads(written.read_text(encoding="utf-8"))
+    second = json.loads((tmp_path / "grasps.json").read_text(encoding="utf-8"))
+    assert (second["choice"], second["candidates"]) == (first["choice"], first["candidates"])
+    for mine, theirs in zip(first["grasps"], second["grasps"], strict=True):
+        for key in mine:
+            np.testing.assert_allclose(mine[key], theirs[key], atol=1e-9)
+
+
+def test_on_a_recorded_view_a_server_proposes_the_same_to_the_last_bit(mug, tmp_path):
+    options, out = mug
+    with tog_serve() as url:
+        done = tog("choose", *options, "--proposer", f"remote:{url}", "--out", tmp_path)
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["proposer"]["url"] == url
+    assert (tmp_path / "grasps.json").read_bytes() == (out / "grasps.json").read_bytes()

@@ -379,30 +379,6 @@ def test_without_contacts_those_of_our_own_proposer_are_found_again_nearly(antip
     assert np.all((again.width >= 0) & (again.width <= MAX_OPENING))
 
 
-def test_on_a_real_frame_what_tog_choose_writes_leads_to_the_same_choice(shared_data, tmp_path):
-    frame = shared_data / "rgbd" / "red_mug_6dof"
-    info = json.loads((frame / "info.json").read_text(encoding="utf-8"))
-    asked = (
-        "choose", "--rgb", frame / "color.png", "--depth", frame / "depth.png",
-        "--intrinsics", frame / "info.json", "--depth-scale", info["depth_units_per_metre"],
-        "--task", "hold the red mug by the handle", "--json",
-    )  # fmt: skip
-    written = tmp_path / "first" / "grasps.json"
-    assert tog(*asked, "--out", written.parent).status == 0
-    done = tog(*asked, "--proposer", f"file:{written}", "--out", tmp_path / "second")
-    assert done.status == 0, done.err
-    first = json.loads(written.read_text(encoding="utf-8"))
-    second = json.loads((tmp_path / "second" / "grasps.json").read_text(encoding="utf-8"))
-    assert second["choice"] == first["choice"]
-    assert second["candidates"] == first["candidates"]
-    for mine, theirs in zip(first["grasps"], second["grasps"], strict=True):
-        for key in mine:
-            np.testing.assert_allclose(mine[key], theirs[key], atol=1e-9)
-    assert json.loads(done.out)["proposer"] == {
-        "kind": "file", "path": str(written), "frame": None, "gripper": None
-    }  # fmt: skip
-
-
 RUN = ("run", "--no-meshcat", "--task", "use the hammer")
 
 

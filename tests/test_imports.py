@@ -44,6 +44,7 @@ except SystemExit as ended:
         *map(_help, ("run", "choose", "prompts")),
         _help("vlm", "check"),
         _help("assets", "import"),
+        _help("serve", "proposer"),
     ],
     ids=[
         "import",
@@ -53,6 +54,7 @@ except SystemExit as ended:
         "prompts --help",
         "vlm check --help",
         "assets import --help",
+        "serve proposer --help",
     ],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):

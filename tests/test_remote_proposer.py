@@ -3,17 +3,11 @@
 import contextlib
 import http.client
 import json
-import os
-import re
-import signal
 import socket
-import subprocess
-import sys
 import textwrap
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -474,45 +468,6 @@ def test_more_clients_than_there_is_room_for_are_turned_away_and_room_is_made_ag
 
 
 # --- the command --------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def tog_serve(*arguments):
-    """The command in a process of its own; yields its URL, and ends it as Ctrl-C does."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tog_drake.cli", "serve", "proposer", "--port", "0", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
-    )
-    try:
-        line = process.stdout.readline()
-        found = re.search(r"http://\S+/propose", line)
-        assert found, line + process.stderr.read()
-        yield found[0]
-        process.send_signal(signal.SIGINT)
-        _, told = process.communicate(timeout=60)
-        assert (process.returncode, told) == (130, "interrupted\n")
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def test_on_a_real_frame_tog_choose_gets_the_same_from_tog_serve(shared_data, tmp_path):
-    frame = shared_data / "rgbd" / "red_mug_6dof"
-    info = json.loads((frame / "info.json").read_text(encoding="utf-8"))
-    asking = (
-        "choose", "--rgb", frame / "color.png", "--depth", frame / "depth.png",
-        "--intrinsics", frame / "info.json", "--depth-scale", info["depth_units_per_metre"],
-        "--task", "hold the red mug by the handle",
-    )  # fmt: skip
-    assert tog(*asking, "--out", tmp_path / "here").status == 0
-    with tog_serve() as url:
-        done = tog(*asking, "--proposer", f"remote:{url}", "--out", tmp_path / "there")
-    assert done.status == 0, done.err
-    here, there = (Path(tmp_path, name, "grasps.json").read_bytes() for name in ("here", "there"))
-    assert here == there
 
 
 def test_a_server_that_cannot_start_is_one_line(tmp_path):

@@ -17,7 +17,7 @@ from tog_drake.files import check_file
 
 if TYPE_CHECKING:
     from tog_drake.cells import Cell
-    from tog_drake.pipeline import PipelineConfig
+    from tog_drake.pipeline import PipelineConfig, ProposerConfig
     from tog_drake.selectors.vlm.selector import Vlm
 
 T = TypeVar("T")
@@ -185,13 +185,19 @@ class SelectorOptions:
         return self.replay
 
 
+_PLACES = {"file": "path", "remote": "url"}  # the field of a config that comes after the colon
+
+
 @dataclass(frozen=True)
 class ProposerOptions:
     """Who proposes grasps; None leaves the scenario's setting."""
 
     proposer: Annotated[
         str | None,
-        typer.Option(help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL."),
+        typer.Option(
+            help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL"
+            " | the name of a plug-in."
+        ),
     ] = None
 
     def apply(self, config: "PipelineConfig") -> None:
@@ -201,30 +207,32 @@ class ProposerOptions:
             InputError: an unknown name, or a proposer that cannot be made.
         """
         from tog_drake.pipeline import PROPOSERS, make_proposer
+        from tog_drake.proposers.plugin import Plugin, plugin_names
 
         if self.proposer is None:
             return
-        name, colon, rest = self.proposer.partition(":")
-        place = _PLACES.get(name)
-        if bool(colon) != (place is not None) or (colon and not rest):
-            raise InputError(f"unknown proposer {self.proposer!r}; valid: {_proposer_forms()}")
-        kind = valid(name, PROPOSERS, "proposer")
-        if not isinstance(config.proposer, kind):
-            config.proposer = kind()
-        if place is not None:
-            setattr(config.proposer, place, rest)
+        name, _, place = self.proposer.partition(":")
+        if place and name in _PLACES:
+            _put(config, PROPOSERS[name], **{_PLACES[name]: place})
+        elif self.proposer in PROPOSERS and self.proposer not in _PLACES:
+            _put(config, PROPOSERS[self.proposer])
+        elif self.proposer in plugin_names():
+            if not isinstance(config.proposer, Plugin) or config.proposer.name != self.proposer:
+                config.proposer = Plugin(self.proposer)
+        else:
+            forms = [f"{n}:{_PLACES[n].upper()}" if n in _PLACES else n for n in PROPOSERS]
+            raise InputError(
+                f"unknown proposer {self.proposer!r}; valid: {', '.join(forms + plugin_names())}"
+            )
         make_proposer(config, 0)  # hears what is wrong before anything starts
 
 
-_PLACES = {"file": "path", "remote": "url"}  # the field of a config that comes after the colon
-
-
-def _proposer_forms() -> str:
-    from tog_drake.pipeline import PROPOSERS
-
-    return ", ".join(
-        f"{name}:{_PLACES[name].upper()}" if name in _PLACES else name for name in PROPOSERS
-    )
+def _put(config: "PipelineConfig", kind: "type[ProposerConfig]", **fields: str) -> None:
+    """Makes a proposer of that kind the pipeline's; one that is keeps its other settings."""
+    if not isinstance(config.proposer, kind):
+        config.proposer = kind()
+    for name, value in fields.items():
+        setattr(config.proposer, name, value)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from tog_drake.planning_model import PlanningModel
 from tog_drake.proposer import GraspProposer, Proposer
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.file import File, FileProposer
+from tog_drake.proposers.plugin import Plugin, PluginProposer
 from tog_drake.proposers.remote import Remote, RemoteProposer
 from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
@@ -49,7 +50,7 @@ SELECTORS: dict[str, type[SelectorConfig]] = {
     "oracle": Oracle,
     "vlm": Vlm,
 }
-ProposerConfig = Antipodal | File | Remote
+ProposerConfig = Antipodal | File | Remote | Plugin
 PROPOSERS: dict[str, type[ProposerConfig]] = {
     "antipodal": Antipodal,
     "file": File,
@@ -235,6 +236,8 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
             return FileProposer(config.proposer)
         case Remote():
             return RemoteProposer(config.proposer, config.workspace, seed)
+        case Plugin():
+            return PluginProposer(config.proposer, config.workspace, seed)
 
 
 def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:
