@@ -267,6 +267,19 @@ def test_farthest_points_are_those_of_a_walk_over_all_points(count, grid, seed, 
     np.testing.assert_array_equal(farthest_points(points, picks), _walk(points, picks))
 
 
+@settings(max_examples=12)
+@given(
+    count=st.integers(4096, 9000),
+    grid=st.sampled_from([0.0, GRID, 0.02, 0.1, 1.0]),
+    flat=st.sampled_from([0.0, 0.1, 1.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_also_where_the_walk_skips_most_points(count, grid, flat, seed):
+    points = random_cloud(np.random.default_rng(seed), count, grid)
+    points[:, 2] *= np.float32(flat)
+    np.testing.assert_array_equal(farthest_points(points, 500), _walk(points, 500))
+
+
 def _walk(points, count):
     rows, distance = [0], np.full(len(points), np.inf, np.float32)
     while len(rows) < count:

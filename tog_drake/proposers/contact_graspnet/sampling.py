@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 Points = NDArray[np.float32]  # (N, 3) [m]
 Rows = NDArray[np.int64]
 
+MANY = 4096  # points; of fewer, a walk over all of them is the fastest way to the farthest
+FIRST = 64  # farthest points that are picked by a walk over all
+ACTIVE = 700  # points that are walked over afterwards
+BLOCKS = 128  # of points that are brought up to date together
 GROUP = 48  # centres whose distances are computed together: they fit into the cache
 
 
@@ -35,19 +39,90 @@ def farthest_points(points: Points, count: int) -> Rows:
     distinct ones than ``count``), that is row 0 again and again.
 
     Args:
-        points: (N, 3) [m], N ≥ 1.
+        points: (N, 3) [m], finite, N ≥ 1.
 
     Returns:
         (count,) rows in the order of picking.
     """
     xyz = np.ascontiguousarray(points.T)
-    picked = np.zeros(count, np.int64)
-    distance = np.full(len(points), np.inf, np.float32)
-    for i in range(1, count):
-        last = picked[i - 1]
-        np.minimum(distance, squared_distances(xyz, xyz[:, last, None]), out=distance)
-        picked[i] = distance.argmax()
+    distance = np.full(len(points), np.inf, np.float32)  # [m²] to the nearest picked point
+    few = len(points) < MANY or count <= FIRST
+    picked = _walk(xyz, distance, 0, count if few else FIRST)
+    if len(picked) == count:
+        return np.array(picked)
+    # From here on a pick is near to few points. The next picks all lie among those that are
+    # farthest now, as long as these stay farther than all others: the distances only fall. So the
+    # walk is over these alone, and the others are brought up to date after it.
+    blocks = _Blocks(xyz)
+    while len(picked) < count:
+        least = np.partition(distance, -ACTIVE)[-ACTIVE]
+        active = np.flatnonzero(distance >= least)
+        their_distance = distance[active]
+        found = _walk(
+            *(xyz.take(active, axis=1), their_distance, int(their_distance.argmax())),
+            *(count - len(picked), least),
+        )
+        new = active[found]
+        blocks.update(distance, xyz.take(new, axis=1))
+        picked += new.tolist()
+    return np.array(picked)
+
+
+def _walk(
+    xyz: NDArray[np.float32],
+    distance: NDArray[np.float32],
+    start: int,
+    most: int,
+    least: float = 0.0,
+) -> list[int]:
+    """Picks the farthest of N points (3, N), up to ``most``, while it is ``least`` [m²] away.
+
+    ``distance`` (N,) is kept up to date. The first pick is ``start``.
+    """
+    picked: list[int] = []
+    square = np.empty_like(xyz)
+    x, y, z = square
+    row = start
+    while len(picked) < most and distance[row] >= least:
+        picked.append(row)
+        np.subtract(xyz, xyz[:, row : row + 1], out=square)
+        np.multiply(square, square, out=square)
+        np.add(x, y, out=x)
+        np.add(x, z, out=x)
+        np.minimum(distance, x, out=distance)
+        row = int(distance.argmax())
     return picked
+
+
+class _Blocks:
+    """N points (3, N) in blocks that lie close together: what is far need not be touched."""
+
+    def __init__(self, xyz: NDArray[np.float32]):
+        rows = np.resize(np.arange(xyz.shape[1]), (1, -(-xyz.shape[1] // BLOCKS) * BLOCKS))
+        for axis in (0, 1, 2, 0, 1, 2, 0):  # halves, 2⁷ = BLOCKS; a few points are in two blocks
+            half = rows.shape[1] // 2
+            order = xyz[axis].take(rows).argpartition(half, axis=1)
+            rows = np.take_along_axis(rows, order, axis=1).reshape(-1, half)
+        self._rows = rows  # (BLOCKS, K)
+        self._xyz = xyz.take(rows, axis=1)  # (3, BLOCKS, K)
+        self._lower, self._upper = (
+            self._xyz.min(axis=2)[..., None],
+            self._xyz.max(axis=2)[..., None],
+        )
+
+    def update(self, distance: NDArray[np.float32], new: NDArray[np.float32]) -> None:
+        """Lowers the squared distances (N,) to those from the new points (3, P) where nearer."""
+        now = distance.take(self._rows)
+        nearest = np.clip(new[:, None], self._lower, self._upper)  # in each block's box
+        to_box = squared_distances(nearest, new[:, None]) * np.float32(1 - 1e-5)  # it is rounded
+        block, p = np.nonzero(to_box < now.max(axis=1, keepdims=True))
+        if len(block) == 0:
+            return
+        square = squared_distances(self._xyz.take(block, axis=1), new.take(p, axis=1)[..., None])
+        first = np.flatnonzero(np.diff(block, prepend=-1))
+        square = np.minimum.reduceat(square, first, axis=0)
+        block = block[first]
+        distance[self._rows[block]] = np.minimum(now[block], square)
 
 
 @dataclass(frozen=True)
@@ -139,13 +214,15 @@ def three_nearest(points: Points, sources: Points) -> tuple[Rows, NDArray[np.flo
     Returns:
         Rows of the sources (M, 3), nearest first, and weights (M, 3) that sum to 1.
     """
-    distance = squared_distances(points.T[:, :, None], sources.T[:, None])
-    every = np.arange(len(points))
-    index = np.zeros((len(points), 3), np.int64)
-    nearest = np.zeros((len(points), 3), np.float32)
-    for k in range(3):
-        index[:, k] = distance.argmin(axis=1)
-        nearest[:, k] = distance[every, index[:, k]]
-        distance[every, index[:, k]] = np.inf
+    index = np.empty((len(points), 3), np.int64)
+    nearest = np.empty((len(points), 3), np.float32)
+    for start in range(0, len(points), 64):
+        chunk = slice(start, start + 64)
+        distance = squared_distances(points[chunk].T[..., None], sources.T[:, None])
+        every = np.arange(len(distance))
+        for k in range(3):
+            index[chunk, k] = row = distance.argmin(axis=1)
+            nearest[chunk, k] = distance[every, row]
+            distance[every, row] = np.inf
     weight = 1 / (nearest + np.float32(1e-8))
     return index, weight / weight.sum(axis=1, keepdims=True)
