@@ -198,6 +198,10 @@ BAD = {
     "inf": (document(scores=np.array([0.5, np.inf])), r"scores\[1\] is not finite"),
     "a mirrored hand": (_pose(_mirror), r"poses\[1\] is no rigid transform.*det R is -1"),
     "a scaled hand": (_pose(_set(0, 0, to=1.1)), r"poses\[1\] is no rigid transform"),
+    "beyond floats": (
+        _pose(_set(slice(3), slice(3), to=[[1e200, 1e200, 0], [-1e200, 1e200, 0], [0, 0, 1]])),
+        r"poses\[1\] is no rigid transform",
+    ),
     "no rotation": (_pose(_set(slice(3), slice(3), to=0)), r"poses\[1\] is no rigid transform"),
     "a last row": (_pose(_set(3, 0, to=0.1)), r"poses\[1\] is no rigid.*last row"),
     "millimetres": (_pose(_set(0, 3, to=50.0)), "poses reach 50.*metres"),

@@ -33,7 +33,7 @@ from tog_drake.proposers.remote import Remote, RemoteProposer
 from tog_drake.proposers.serving import ProposerServer
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm import transport
-from tog_drake.serve_commands import _proposals
+from tog_drake.serve_commands import proposals
 from tog_drake.values import Grasps, Workspace
 
 QUICK = Antipodal(anchors=40, max_anchors=40, tilts_deg=[40.0])
@@ -89,7 +89,7 @@ def same(mine, theirs):
 def test_grasps_from_a_server_are_those_of_the_proposer_bit_for_bit(scene, grasps):
     view, seen = scene
     config = PipelineConfig(proposer=QUICK)
-    with serving_by(_proposals(config)) as (port, said):
+    with serving_by(proposals(config)) as (port, said):
         same(remote(port).propose(seen, view), grasps)
         same(remote(port, images=False).propose(seen, view), grasps)
         other_seed = remote(port, seed=4).propose(seen, view)
@@ -154,6 +154,10 @@ def test_no_grasps_are_an_answer_and_what_a_proposer_says_is_passed_on(scene):
         raise KeyError("weights")
 
     with serving_by(defect) as (port, _), pytest.raises(NoProposal, match=r"500.*KeyError"):
+        remote(port).propose(seen, view)
+
+    bad = Grasps(np.full((1, 4, 4), np.nan), np.zeros(1), np.zeros(1), np.zeros((1, 3)))
+    with serving_by(lambda request: bad) as (port, _), pytest.raises(NoProposal, match="500"):
         remote(port).propose(seen, view)
 
 

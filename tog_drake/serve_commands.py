@@ -44,7 +44,7 @@ def proposer(
     name = options.proposer or "antipodal"
     try:
         server = ProposerServer(
-            (host, port), name, _proposals(config), lambda line: say(console, line)
+            (host, port), name, proposals(config), lambda line: say(console, line)
         )
     except (OSError, UnicodeError, OverflowError) as error:
         raise InputError(
@@ -59,7 +59,7 @@ def proposer(
         server.server_close()
 
 
-def _proposals(config: "PipelineConfig") -> "Propose":
+def proposals(config: "PipelineConfig") -> "Propose":
     """Makes grasps as a pipeline with this config does; the last proposer made is kept."""
     from tog_drake.pipeline import make_proposer
     from tog_drake.proposer import Proposer

@@ -73,12 +73,14 @@ class Document:
     gripper: str  # one of GRIPPERS
 
 
-def read_document(content: Mapping[str, Any], **declared: str | None) -> Document:
+def read_document(
+    content: Mapping[str, Any], *, frame: str | None = None, gripper: str | None = None
+) -> Document:
     """Returns the grasps of a document that was parsed, but not yet believed.
 
     Args:
         content: by name; numbers in nested lists or in arrays.
-        declared: ``frame`` and ``gripper``, where they are known otherwise.
+        frame, gripper: where they are known otherwise.
 
     Raises:
         BadDocument: saying what was given and what would be valid.
@@ -86,7 +88,7 @@ def read_document(content: Mapping[str, Any], **declared: str | None) -> Documen
     unknown = [str(name)[:40] for name in content if name not in NAMES]
     if unknown:
         raise BadDocument(f"it has no use for {unknown[0]!r}; valid: {', '.join(NAMES)}")
-    said = {name: _said(content, name, declared.get(name)) for name in _CHOICES}
+    frame, gripper = _said(content, "frame", frame), _said(content, "gripper", gripper)
     count: int | None = None
     arrays: dict[str, Array | None] = {}
     for name, shape in _SHAPES.items():
@@ -100,7 +102,7 @@ def read_document(content: Mapping[str, Any], **declared: str | None) -> Documen
     poses, scores, widths, contacts = arrays.values()
     assert poses is not None and scores is not None
     checked = checked_grasps(poses, scores, widths, contacts)
-    return Document(*checked, frame=said["frame"], gripper=said["gripper"])
+    return Document(*checked, frame=frame, gripper=gripper)
 
 
 def _said(content: Mapping[str, Any], name: str, declared: str | None) -> str:
@@ -179,14 +181,16 @@ def checked_grasps(
         BadDocument: a pose is no rigid transform, or a number is out of bounds.
     """
     R = poses[:, :3, :3]
-    off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    wrong = (off > ORTHONORMAL) | (np.linalg.det(R) < 0)
-    wrong |= np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1, initial=0.0) > _ROUNDING
-    if wrong.any():
-        i = int(wrong.argmax())
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        det = np.linalg.det(R)
+        rigid = (off <= ORTHONORMAL) & (det > 0)  # not so where either is NaN
+        rigid &= np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1, initial=0.0) <= _ROUNDING
+    if not rigid.all():
+        i = int(rigid.argmin())
         raise BadDocument(
             f"poses[{i}] is no rigid transform (R·Rᵀ is {off[i]:.2g} off the identity, det R is "
-            f"{np.linalg.det(R[i]):.2g}, the last row {poses[i, 3].tolist()}); valid: R "
+            f"{det[i]:.2g}, the last row {poses[i, 3].tolist()}); valid: R "
             f"orthonormal to {ORTHONORMAL} with determinant 1, last row 0 0 0 1"
         )
     for name, places in (("poses", poses[:, :3, 3]), ("contacts", contacts)):

@@ -18,6 +18,7 @@ from tog_drake.proposers.propose_protocol import (
     BadRequest,
     Request,
     answer_body,
+    read_answer,
     read_request,
 )
 from tog_drake.values import Grasps
@@ -109,9 +110,8 @@ class _Handler(BaseHTTPRequestHandler):
         start = time.monotonic()
         try:
             request = self._request()
-            grasps = self._grasps(request)
-            body = answer_body(grasps)
-            said = f"{len(grasps)} grasps on {request.cloud.size()} points"
+            body = self._answer(request)
+            said = f"{len(body['scores'])} grasps on {request.cloud.size()} points"
             status = 200
         except _Refused as refused:
             status, body, said = refused.status, _error(str(refused)), str(refused)
@@ -151,9 +151,11 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(408, f"only {len(received)} of {length} bytes arrived in time")
         return bytes(received)
 
-    def _grasps(self, request: Request) -> Grasps:
+    def _answer(self, request: Request) -> dict[str, Any]:
         try:
-            return self.server.propose(request)
+            body = answer_body(self.server.propose(request))
+            read_answer(body)  # hears what the client would
+            return body
         except TimeoutError:
             raise _Refused(503, "too many requests are waiting; ask again later") from None
         except TogError as error:
