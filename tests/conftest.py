@@ -19,3 +19,13 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recorded data at {folder}; set TOG_SHARED_DATA to the folder that has it")
     return folder
+
+
+@pytest.fixture(scope="session")
+def parity() -> Path:
+    """The folder of recorded inputs and outputs, which is not part of this repository."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "cgn_parity"
+    folder = Path(os.environ.get("TOG_CGN_PARITY", beside))
+    if not folder.is_dir():
+        pytest.skip(f"no parity fixture at {folder}; set TOG_CGN_PARITY to the folder that has it")
+    return folder

@@ -1,9 +1,7 @@
 """The network says what the published one says, and looks at the points that it looks at."""
 
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,16 +23,6 @@ GRID = 2.0**-11  # [m] on it every squared distance is exact, so that there is o
 ON_GRID = ("small4k", "dup4k", "tabletop20k")
 STAGES = ("sa1", "sa2", "sa3", "sa4", "fp3", "fp2", "fp1")
 STRIDE = {"sa1": 16, "sa2": 8, "sa3": 2, "fp2": 4, "fp1": 8}  # of the recorded features
-
-
-@pytest.fixture(scope="session")
-def parity() -> Path:
-    """The folder of recorded inputs and outputs, which is not part of this repository."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "cgn_parity"
-    folder = Path(os.environ.get("TOG_CGN_PARITY", beside))
-    if not folder.is_dir():
-        pytest.skip(f"no parity fixture at {folder}; set TOG_CGN_PARITY to the folder that has it")
-    return folder
 
 
 @pytest.fixture(scope="module")

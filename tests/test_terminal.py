@@ -65,7 +65,8 @@ def test_a_replayed_answer_is_not_told_as_if_it_were_live():
 def test_what_became_of_the_question_is_not_taken_for_the_outcome(asked, line):
     choice = {"part": None, "index": 7, "reason": "So it is.", "status": "rejected"}
     record = {
-        "task": "lift it", "counts": {}, "seconds": {}, "choice": choice, "held": {},
+        "task": "lift it", "proposer": {"kind": "antipodal"}, "counts": {}, "seconds": {},
+        "choice": choice, "held": {},
         "outcome": "lifted", "turned": None, "message": None, "collisions": None, **asked,
     }  # fmt: skip
     out = StringIO()

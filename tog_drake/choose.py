@@ -53,7 +53,7 @@ def choose_on_view(
     table = timed("cloud", lambda: find_table(view, seed, up=None if X_WC is None else X_WC[2, :3]))
     view = replace(view, X_WC=table.X_WC)
     config = replace(config, workspace=table.workspace)
-    selector = make_selector(config, seed)
+    selector, proposer = make_selector(config, seed), make_proposer(config, seed)
     decision.view = view
     try:
         cloud = timed("cloud", lambda: scene_cloud(view, config.workspace, config.cloud))
@@ -61,7 +61,7 @@ def choose_on_view(
         raise InputError(str(error)) from error  # here the view is what was given
     decision.cloud = cloud
     try:
-        grasps = timed("propose", lambda: make_proposer(config, seed).propose(cloud, view))
+        grasps = timed("propose", lambda: proposer.propose(cloud, view))
         decision.grasps = grasps
         if len(grasps) == 0:
             raise NoGrasp(

@@ -195,8 +195,14 @@ class ProposerOptions:
     proposer: Annotated[
         str | None,
         typer.Option(
-            help="Who suggests grasps: antipodal (default) | file:PATH | remote:URL"
-            " | the name of a plug-in."
+            help="Who suggests grasps: antipodal (default) | contact-graspnet | file:PATH"
+            " | remote:URL | the name of a plug-in."
+        ),
+    ] = None
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            help="File of weights for contact-graspnet; by default what `tog weights` has stored."
         ),
     ] = None
 
@@ -204,27 +210,51 @@ class ProposerOptions:
         """Puts the options into the config of a pipeline; its other settings stay.
 
         Raises:
-            InputError: an unknown name, or a proposer that cannot be made.
+            InputError: an unknown name, options that do not go together, or a proposer that cannot
+                be made.
         """
-        from tog_drake.pipeline import PROPOSERS, make_proposer
+        from tog_drake.pipeline import make_proposer
+
+        if self.proposer is None and self.checkpoint is None:
+            return
+        if self.proposer is not None:
+            self._apply_to(config)
+        if self.checkpoint is not None:
+            self._apply_checkpoint(config, self.checkpoint)
+        make_proposer(config, 0)  # hears what is wrong before anything starts
+
+    def _apply_to(self, config: "PipelineConfig") -> None:
+        """Puts in place what proposes."""
+        from tog_drake.pipeline import PROPOSERS
         from tog_drake.proposers.plugin import Plugin, plugin_names
 
-        if self.proposer is None:
-            return
-        name, _, place = self.proposer.partition(":")
+        given = str(self.proposer)
+        name, _, place = given.partition(":")
         if place and name in _PLACES:
             _put(config, PROPOSERS[name], **{_PLACES[name]: place})
-        elif self.proposer in PROPOSERS and self.proposer not in _PLACES:
-            _put(config, PROPOSERS[self.proposer])
-        elif self.proposer in plugin_names():
-            if not isinstance(config.proposer, Plugin) or config.proposer.name != self.proposer:
-                config.proposer = Plugin(self.proposer)
+        elif given in PROPOSERS and given not in _PLACES:
+            _put(config, PROPOSERS[given])
+        elif given in plugin_names():
+            if not isinstance(config.proposer, Plugin) or config.proposer.name != given:
+                config.proposer = Plugin(given)
         else:
             forms = [f"{n}:{_PLACES[n].upper()}" if n in _PLACES else n for n in PROPOSERS]
             raise InputError(
-                f"unknown proposer {self.proposer!r}; valid: {', '.join(forms + plugin_names())}"
+                f"unknown proposer {given!r}; valid: {', '.join(forms + plugin_names())}"
             )
-        make_proposer(config, 0)  # hears what is wrong before anything starts
+
+    def _apply_checkpoint(self, config: "PipelineConfig", checkpoint: Path) -> None:
+        """Puts the weights in place; alone, to name them is to propose by them."""
+        from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet
+
+        if self.proposer is None:
+            _put(config, ContactGraspNet)
+        if not isinstance(config.proposer, ContactGraspNet):
+            raise InputError(
+                f"--checkpoint {checkpoint} is for --proposer contact-graspnet, not for "
+                f"{self.proposer}"
+            )
+        config.proposer.checkpoint = str(checkpoint)
 
 
 def _put(config: "PipelineConfig", kind: "type[ProposerConfig]", **fields: str) -> None:

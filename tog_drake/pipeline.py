@@ -19,6 +19,7 @@ from tog_drake.panda import MAX_OPENING
 from tog_drake.planning_model import PlanningModel
 from tog_drake.proposer import GraspProposer, Proposer
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
+from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, make_contact_graspnet
 from tog_drake.proposers.file import File, FileProposer
 from tog_drake.proposers.plugin import Plugin, PluginProposer
 from tog_drake.proposers.remote import Remote, RemoteProposer
@@ -50,9 +51,10 @@ SELECTORS: dict[str, type[SelectorConfig]] = {
     "oracle": Oracle,
     "vlm": Vlm,
 }
-ProposerConfig = Antipodal | File | Remote | Plugin
+ProposerConfig = Antipodal | ContactGraspNet | File | Remote | Plugin
 PROPOSERS: dict[str, type[ProposerConfig]] = {
     "antipodal": Antipodal,
+    "contact-graspnet": ContactGraspNet,
     "file": File,
     "remote": Remote,
 }
@@ -232,6 +234,8 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
     match config.proposer:
         case Antipodal():
             return AntipodalProposer(config.proposer, config.workspace, seed)
+        case ContactGraspNet():
+            return make_contact_graspnet(config.proposer, seed)
         case File():
             return FileProposer(config.proposer)
         case Remote():

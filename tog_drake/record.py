@@ -1,7 +1,6 @@
 """The record of an episode: the content of ``episode.json`` and of ``--json``."""
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -10,7 +9,8 @@ from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import STAGES, Decision, PipelineConfig
+from tog_drake.pipeline import PROPOSERS, SELECTORS, STAGES, Decision, PipelineConfig
+from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, weights_record
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
@@ -56,7 +56,8 @@ class EpisodeRecord(TypedDict):
     noise: bool | None  # whether depth was noisy; null: not simulated, nor the next two
     grip_force: float | None  # [N]
     object_friction: float | None  # null, too: what each model says
-    proposer: dict[str, Any]  # {"kind": ..., its settings}
+    proposer: dict[str, Any]  # {"kind": ..., its settings; of a network its weights: file,
+    # git_sha1, whether it is the released one, and a note that says so}
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
@@ -162,11 +163,15 @@ def new_record(
 
 
 def _kind_and_settings(config: Any) -> dict[str, Any]:
-    """A tag such as TopScore becomes "top-score", as the command spells it."""
-    kind = re.sub(r"(?<!^)(?=[A-Z])", "-", type(config).__name__).lower()
+    """What the config of a proposer or selector says, and its kind as the command spells it."""
+    known = {**PROPOSERS, **SELECTORS}
+    tag = type(config)
+    kind = next((name for name, t in known.items() if t is tag), tag.__name__.lower())
     more: dict[str, Any] = {}
     if isinstance(config, Oracle):
         more["note"] = ORACLE_NOTE
+    if isinstance(config, ContactGraspNet):
+        more["weights"] = weights_record(config)
     if isinstance(config, Vlm) and config.model is not None:
         more["model"] = {"specification": specification(config.model), **asdict(config.model)}
     return {"kind": kind, **asdict(config), **more}

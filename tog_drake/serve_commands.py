@@ -41,7 +41,7 @@ def proposer(
     console = console_for(as_json=False)
     config = PipelineConfig()
     options.apply(config)
-    name = options.proposer or "antipodal"
+    name = options.proposer or ("antipodal" if options.checkpoint is None else "contact-graspnet")
     try:
         server = ProposerServer(
             (host, port), name, proposals(config), lambda line: say(console, line)

@@ -103,6 +103,9 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     for stage, count, seconds in stage_rows(record):
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
+    weights = record["proposer"].get("weights")
+    if weights is not None:
+        say(console, f"weights: {weights['file']}, {weights['note']}")
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:

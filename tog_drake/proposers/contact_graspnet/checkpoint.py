@@ -1,0 +1,192 @@
+"""Reads weights from a file of PyTorch, and believes nothing of it before it is checked.
+
+The file comes from somewhere: it is read without running what is in it, its size is bounded, and
+its tensors must be exactly those of the network.
+"""
+
+import hashlib
+import io
+import pickle
+import re
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tog_drake.errors import InputError
+from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
+
+RELEASED = "b52cf0c889511c17acdded2dde8062710299b73e"
+"""Git's SHA-1 of ``model.pt`` in the repository of the PyTorch port."""
+MAX_BYTES = 200_000_000  # of the file, and of what it unpacks to; the released one has about 26 MB
+OLDEST_TORCH = (2, 6)  # older ones can be made to run code by a file even with weights_only
+_NAMED = 3  # as many wrong keys are named
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Weights that fit the network, and whose they are."""
+
+    file: Path
+    state: dict[str, Tensor]  # on the CPU
+    git_sha1: str  # of the file, as git names it
+
+    @property
+    def released(self) -> bool:
+        """Whether the file is the one that was published for the network's PyTorch port."""
+        return self.git_sha1 == RELEASED
+
+
+def load_network(file: Path, *, device: str, batch_norm: str) -> tuple[ContactGraspNet, Checkpoint]:
+    """Returns the network with the weights of a file, loaded once per process.
+
+    Args:
+        file: see ``read_checkpoint``.
+        device: "cpu", "cuda", or "auto": cuda where there is one.
+        batch_norm: see ``ContactGraspNet``.
+
+    Raises:
+        InputError: see ``read_checkpoint``; or there is no such device.
+    """
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda: torch finds no GPU here; valid: cpu, auto")
+    changed = file.stat().st_mtime_ns if file.is_file() else 0
+    return _load(file.resolve(), changed, device, batch_norm)
+
+
+@lru_cache(maxsize=4)
+def _load(
+    file: Path, changed: int, device: str, batch_norm: Any
+) -> tuple[ContactGraspNet, Checkpoint]:
+    checkpoint = read_checkpoint(file)
+    network = ContactGraspNet(batch_norm)
+    network.load_state_dict(checkpoint.state)
+    return network.eval().to(device), checkpoint
+
+
+def read_checkpoint(file: Path) -> Checkpoint:
+    """Reads weights: what ``torch.save`` wrote of a dictionary with the state dict under ``model``,
+    whatever else is in it, or of a bare state dict.
+
+    Raises:
+        InputError: there is no file, it is too large, no file of torch, cut off, asks for code to
+            be run, or its tensors are not those of the network; torch is too old to be trusted.
+    """
+    if tuple(map(int, torch.__version__.split(".")[:2])) < OLDEST_TORCH:
+        raise InputError(
+            f"torch {torch.__version__} can be made to run code by a file of weights; install 2.6 "
+            "or newer with: pip install 'tog_drake[cgn]'"
+        )
+    data = _read(file)
+    content = _unpickled(file, data)
+    state = content.get("model", content) if isinstance(content, dict) else content
+    if not isinstance(state, Mapping):
+        raise InputError(
+            f"the checkpoint {file} holds {type(state).__name__}; valid: a state dict, bare or "
+            "under the key 'model'"
+        )
+    _check(file, state)
+    return Checkpoint(file, dict(state), git_sha1(data))
+
+
+def git_sha1(data: bytes) -> str:
+    """Returns the name that git gives to a file with this content."""
+    return hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
+
+
+def _read(file: Path) -> bytes:
+    if not file.is_file():
+        raise InputError(f"there is no checkpoint {file}")
+    size = file.stat().st_size
+    if size > MAX_BYTES:
+        raise InputError(f"the checkpoint {file} has {size} bytes; at most {MAX_BYTES} are read")
+    data = file.read_bytes()
+    if data[:4] != b"PK\3\4":
+        raise InputError(
+            f"{file} is no checkpoint: valid is a file that torch.save wrote (torch 1.6 or newer)"
+        )
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+        raise InputError(
+            f"the checkpoint {file} is cut off or damaged ({error}): its {size} bytes are no whole "
+            "archive; get it again"
+        ) from error
+    if unpacked > MAX_BYTES:
+        raise InputError(
+            f"the checkpoint {file} unpacks to {unpacked} bytes; at most {MAX_BYTES} are read"
+        )
+    return data
+
+
+def _unpickled(file: Path, data: bytes) -> Any:
+    """What the file holds, made of tensors, numbers, texts and containers alone."""
+    try:
+        with torch.serialization.safe_globals(_numpy_types()):
+            return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        wanted = re.search(r"GLOBAL (\S+)", str(error))
+        what = f"asks for {wanted[1]}" if wanted else "holds what is no tensor"
+        raise InputError(
+            f"the checkpoint {file} is refused: it {what}, and could run any code; nothing of it "
+            "was run. Valid: tensors, numbers and texts"
+        ) from error
+    except Exception as error:  # who knows what a damaged or a malicious file leads to
+        first = (str(error).splitlines() or [""])[0]
+        raise InputError(
+            f"the checkpoint {file} is cut off or damaged ({type(error).__name__}: {first:.200})"
+        ) from error
+
+
+def _numpy_types() -> list[Callable[..., Any] | tuple[Callable[..., Any], str]]:
+    """What a number of NumPy in a file is made of: published weights have one beside them.
+
+    NumPy 1 wrote ``numpy.core``, NumPy 2 writes ``numpy._core``.
+    """
+    scalar: Any = np.float64(0).__reduce__()[0]
+    return [
+        (scalar, "numpy.core.multiarray.scalar"),
+        (scalar, "numpy._core.multiarray.scalar"),
+        np.dtype,
+        type(np.dtype(np.float64)),
+    ]
+
+
+def _check(file: Path, state: Mapping[Any, Any]) -> None:
+    """Raises InputError unless the tensors are those of the network: names, shapes, finite."""
+    with torch.device("meta"):  # names and shapes, no numbers
+        wanted = ContactGraspNet().state_dict()
+    missing = [key for key in wanted if key not in state]
+    unknown = [key for key in state if key not in wanted]
+    if missing or unknown:
+        raise InputError(
+            f"the checkpoint {file} is not one of Contact-GraspNet's PyTorch port: of its "
+            f"{len(wanted)} tensors {_some('missing', missing)}; {_some('not among them', unknown)}"
+        )
+    for key, tensor in wanted.items():
+        given = state[key]
+        if not isinstance(given, Tensor) or given.layout != torch.strided or given.is_complex():
+            raise InputError(f"the checkpoint {file}: {key} is no dense real tensor")
+        if given.shape != tensor.shape:
+            raise InputError(
+                f"the checkpoint {file}: {key} has the shape {list(given.shape)}; expected: "
+                f"{list(tensor.shape)}"
+            )
+        if not torch.isfinite(given).all():
+            raise InputError(f"the checkpoint {file}: {key} holds numbers that are not finite")
+
+
+def _some(what: str, keys: list[Any]) -> str:
+    """Such as "5 missing (sa1.bn_blocks.0.0.bias, fp1.mlp_convs.0.weight ...)"."""
+    names = ", ".join(f"{key!s:.60}" for key in keys[:_NAMED])
+    more = " ..." if len(keys) > _NAMED else ""
+    return f"{len(keys)} {what}" + (f" ({names}{more})" if keys else "")
