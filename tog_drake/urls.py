@@ -1,9 +1,18 @@
 """What a URL says of the server behind it."""
 
+import re
 from ipaddress import ip_address
 from urllib.parse import urlsplit
 
 from tog_drake.visible_text import quoted
+
+# No user, password or query, and nothing that two readers of URLs could take for two hosts.
+_URL = re.compile(r"https?://([\w.-]+|\[[0-9a-fA-F:.]+\])(:[0-9]{1,5})?(/[\w.~%:+/-]*)?", re.ASCII)
+
+
+def is_plain_url(text: str) -> bool:
+    """Whether it is an URL of scheme, host and path alone: without user, password or query."""
+    return _URL.fullmatch(text) is not None
 
 
 def host_of(url: str) -> str:

@@ -8,7 +8,6 @@ tried once more. Whatever the server does, it is over after ``timeout``.
 import math
 import time
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 from pydrake.perception import PointCloud
 
@@ -16,8 +15,8 @@ from tog_drake.errors import InputError, NoProposal
 from tog_drake.proposers.grasp_document import BadDocument, grasps_in_world
 from tog_drake.proposers.propose_protocol import Request, read_answer, request_body
 from tog_drake.selectors.vlm.question import Unanswered
-from tog_drake.selectors.vlm.specification import is_plain_url
 from tog_drake.selectors.vlm.transport import post
+from tog_drake.urls import host_of, is_plain_url
 from tog_drake.values import Grasps, View, Workspace
 
 ATTEMPTS = 2
@@ -73,7 +72,7 @@ class RemoteProposer:
         except Unanswered as error:
             raise self._failed(str(error), error) from None
         except BadDocument as error:
-            message = f"{urlsplit(config.url).netloc} answers, but not with grasps: {error}"
+            message = f"{host_of(config.url)} answers, but not with grasps: {error}"
             raise self._failed(message, Unanswered("unreadable", message)) from None
         return grasps_in_world(document, cloud, view.X_WC)
 

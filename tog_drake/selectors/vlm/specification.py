@@ -8,6 +8,7 @@ from tog_drake.selectors.vlm.anthropic import Anthropic
 from tog_drake.selectors.vlm.gemini import Gemini
 from tog_drake.selectors.vlm.keys import ELSEWHERE
 from tog_drake.selectors.vlm.openai import Molmo, OpenAi, Qwen
+from tog_drake.urls import is_plain_url
 
 ModelConfig = OpenAi | Gemini | Anthropic | Molmo | Qwen
 
@@ -25,9 +26,6 @@ _FAMILIES = {"gpt": "openai", "chatgpt": "openai", "gemini": "gemini", "claude":
 _FORM = re.compile(r"([a-z]+):((?!@)[^\s\x00-\x1f]+?)(?:@(https?://\S*))?", re.DOTALL)
 # The only end of a name after an at-sign that is no address: a version, as in claude@20250514.
 _VERSION = re.compile(r"[0-9]+|latest|default", re.ASCII)
-
-# No user, password or query, and nothing that two readers of URLs could take for two hosts.
-_URL = re.compile(r"https?://([\w.-]+|\[[0-9a-fA-F:.]+\])(:[0-9]{1,5})?(/[\w.~%:+/-]*)?", re.ASCII)
 
 
 def read_specification(text: str, profile: str | None = None) -> ModelConfig:
@@ -75,11 +73,6 @@ def _without_endpoint(config: ModelConfig) -> str | None:
         if base.endswith(end):
             return base.removesuffix(end)
     return None
-
-
-def is_plain_url(text: str) -> bool:
-    """Whether it is an URL of scheme, host and path alone: without user, password or query."""
-    return _URL.fullmatch(text) is not None
 
 
 def check_model(config: ModelConfig) -> None:
