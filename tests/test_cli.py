@@ -539,6 +539,16 @@ def test_eval_asks_a_model_and_stops_where_the_server_does_not_take_the_question
     assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
 
 
+def test_eval_stops_where_the_server_that_proposes_grasps_is_no_use(monkeypatch, tmp_path):
+    lost = {**_episode("Mug", "oracle", "no_proposal"), "message": "no grasps from http://gpu:1/x"}
+    ran = _as_models_do(monkeypatch, _episode("Mug", "oracle", "lifted"), lost, lost)
+    remote = ("--selectors", "oracle", "--proposer", "remote:http://gpu:1/x", "--tasks", "use")
+    done = tog("eval", *remote, "--scenarios", "Mug", "--seeds", 3, "--out", tmp_path)
+    assert (done.status, len(ran)) == (2, 2)
+    assert done.err.splitlines()[-1].endswith("the rest is not run: no grasps from http://gpu:1/x")
+    assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
+
+
 def _asked(outcome, status, fallback=None, message=""):
     vlm = {
         "strategy": "gsi", "model": "openai:any", "status": status, "fallback": fallback,

@@ -13,7 +13,7 @@ from rich.progress import Progress
 from tog_drake.cells import Cell, cell_scenario
 from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode, load_objects, run_episode
-from tog_drake.errors import InputError, TogError
+from tog_drake.errors import InputError, NoProposal, TogError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
@@ -51,7 +51,8 @@ def evaluate(
     Raises:
         InputError: a model cannot be asked so; nothing has been run then.
         TogError: if an episode cannot be run at all, naming it, or the server does not take the
-            questions (a wrong key, a wrong model): every further episode would end likewise.
+            questions (a wrong key, a wrong model): every further episode would end likewise. Or
+            the server that proposes grasps gave none that can be used: that tells of no method.
     """
     for cell in {(cell.scenario, cell.selector): cell for cell in cells}.values():
         _configured(cell, options, proposer)
@@ -76,7 +77,11 @@ def evaluate(
 
 
 def _check_taken(record: EpisodeRecord) -> None:
-    """Raises TogError where the server did not take a question."""
+    """Raises TogError where a server did not take a question, or proposed nothing of use."""
+    if record["outcome"] == NoProposal.outcome:
+        raise TogError(
+            f"{record['scenario']}, seed {record['seed']}: the rest is not run: {record['message']}"
+        )
     vlm = record["vlm"]
     if vlm is not None and vlm["status"] == "rejected":
         said = [record["message"] or "", *(e["message"] for e in vlm["exchanges"])]
