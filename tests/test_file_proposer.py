@@ -10,16 +10,17 @@ import pytest
 from command import refused, tog
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tabletop import RED, TABLE, look
+from tabletop import HAMMER_SIZED, RED, TABLE, look
 from things import box, cloud, moved
 
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError, NoGrasp
+from tog_drake.grasp_check import check_grasps
 from tog_drake.panda import MAX_OPENING
 from tog_drake.pipeline import PipelineConfig, make_proposer
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.file import File, FileProposer
-from tog_drake.proposers.grasp_document import MAX_GRASPS, NAMES
+from tog_drake.proposers.grasp_document import GRIPPERS, MAX_GRASPS, NAMES
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.values import View, Workspace
 
@@ -353,7 +354,7 @@ def test_any_of_the_names_may_be_missing_or_wrong_and_nothing_else_happens(tmp_p
 
 @pytest.fixture(scope="module")
 def antipodal():
-    view = look([TABLE, ((0.44, -0.02, 0.0), (0.56, 0.02, 0.06), RED)])
+    view = look([TABLE, HAMMER_SIZED], eye=(0.3, 0.25, 0.45))
     seen = scene_cloud(view, Workspace(), CloudConfig())
     return view, seen, AntipodalProposer(Antipodal(), Workspace(), 0).propose(seen, view)
 
@@ -367,6 +368,28 @@ def test_the_grasps_of_our_own_proposer_come_back_bit_for_bit(antipodal, tmp_pat
         again = proposed(write(tmp_path / name, content), view, seen)
         for mine, theirs in zip(vars(grasps).values(), vars(again).values(), strict=True):
             np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize("gripper", ["G", "franka_hand", "contact_graspnet"])
+def test_the_gripper_that_is_declared_holds_and_another_one_does_not(gripper, antipodal, tmp_path):
+    view, seen, grasps = antipodal
+    poses = (np.linalg.inv(view.X_WC) @ grasps.X_WG @ np.linalg.inv(GRIPPERS[gripper])).astype("f4")
+    content = document(poses=poses, scores=grasps.score, frame="camera", gripper=None)
+    path = write_npz(tmp_path / "g.npz", content)
+
+    def holding(grasps):
+        return sum(problem == "" for problem in check_grasps(grasps, seen)) / len(grasps)
+
+    share = {}
+    for name in GRIPPERS:
+        try:
+            share[name] = holding(proposed(path, view, seen, gripper=name))
+        except NoGrasp:
+            share[name] = 0.0
+    ours = holding(grasps)
+    assert ours > 0.75
+    assert share.pop(gripper) > ours - 0.05
+    assert max(share.values()) < 0.1, share
 
 
 def test_without_contacts_those_of_our_own_proposer_are_found_again_nearly(antipodal, tmp_path):

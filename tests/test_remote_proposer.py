@@ -7,6 +7,7 @@ import socket
 import textwrap
 import threading
 import time
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
@@ -96,6 +97,15 @@ def test_grasps_from_a_server_are_those_of_the_proposer_bit_for_bit(scene, grasp
     assert not np.array_equal(other_seed.X_WG[:5], grasps.X_WG[:5])
     assert len(said) == 3
     assert f"200: {len(grasps)} grasps on {seen.size()} points" in said[0]
+
+
+def test_what_a_network_says_in_single_precision_comes_through_bit_for_bit(scene, grasps):
+    view, seen = scene
+    said = replace(grasps, X_WG=grasps.X_WG.astype(np.float32).astype(np.float64))
+    far = replace(said, X_WG=said.X_WG + np.outer(np.eye(4)[0], np.eye(4)[3]))  # nothing is there
+    for expected in (said, far):
+        with serving_by(lambda request, expected=expected: expected) as (port, _):
+            same(remote(port).propose(seen, view), expected)
 
 
 def test_a_request_arrives_as_it_was_sent(scene):

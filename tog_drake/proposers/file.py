@@ -22,6 +22,7 @@ from tog_drake.proposers.grasp_document import (
     NAMES,
     BadDocument,
     Document,
+    between_fingers,
     grasps_in_world,
     read_document,
 )
@@ -69,7 +70,7 @@ class FileProposer:
             NoGrasp: the file has none, or none has anything that was seen between its fingers.
         """
         grasps = grasps_in_world(self._document, cloud, view.X_WC)
-        if len(grasps) == 0:
+        if len(between_fingers(grasps.X_WG, None, cloud)[0]) == 0:
             held = self._document
             raise NoGrasp(
                 f"none of the {len(held.scores)} grasps of {self._path} has one of the "

@@ -17,7 +17,7 @@ gripper   text       what the poses are of:
 z is the approach in all three. A contact that is left out becomes the point of the cloud, among
 those that a pad touches first along the closing axis, that is nearest to this axis; a width that
 is left out, how far those points reach. A grasp with nothing that was seen between its fingers is
-dropped then; one that has both is believed, unless all have nothing between their fingers.
+dropped then; one that has both is believed.
 """
 
 import math
@@ -36,8 +36,8 @@ from tog_drake.values import Array, Grasps
 
 MAX_GRASPS = 2000
 FARTHEST = 10.0  # [m] from the frame's origin; what is farther was not given in metres
-ORTHONORMAL = 1e-3  # how far R Rᵀ may be from the identity; float32 reaches 1e-6
-_EXACT = 1e-12  # a rotation that is farther off is replaced by the nearest true one
+ORTHONORMAL = 1e-3  # how far R Rᵀ may be from the identity
+_EXACT = 1e-6  # a rotation that is farther off, more than by float32, becomes the nearest true one
 _ROUNDING = 1e-5  # by which a score or a width may be beyond its range
 AT_PAD = 0.002  # [m] a pad is pressed against what is this close to the end
 BESIDE = 0.005  # [m] points this far beyond a given width are still looked at
@@ -223,7 +223,7 @@ def _true_rotations(poses: Array, off: Array) -> Array:
 
 
 def grasps_in_world(document: Document, cloud: PointCloud, X_WC: Array) -> Grasps:
-    """Returns the grasps of the document, as far as they hold something of the cloud, best first.
+    """Returns the grasps of the document, best first.
 
     Args:
         document: what the tool gave.
@@ -232,20 +232,32 @@ def grasps_in_world(document: Document, cloud: PointCloud, X_WC: Array) -> Grasp
     """
     X_WF = X_WC if document.frame == "camera" else np.eye(4)
     X_WG = X_WF @ document.poses @ GRIPPERS[document.gripper]
-    p_W = cloud.xyzs().T.astype(np.float64)
-    row, width, contact = _held(X_WG, document.widths, p_W)
-    if len(row) and document.widths is not None and document.contacts is not None:
-        row = np.arange(len(X_WG))
-    if document.widths is not None:
-        width = document.widths[row]
-    if document.contacts is not None:
-        contact = document.contacts[row] @ X_WF[:3, :3].T + X_WF[:3, 3]
+    width, contact, row = document.widths, document.contacts, np.arange(len(X_WG))
+    if contact is not None:
+        contact = contact @ X_WF[:3, :3].T + X_WF[:3, 3]
+    if width is None or contact is None:
+        row, measured, touched = between_fingers(X_WG, width, cloud)
+        width = measured if width is None else width[row]
+        contact = touched if contact is None else contact[row]
     grasps = Grasps(X_WG[row], width, document.scores[row], contact)
     return grasps.take(np.argsort(-grasps.score, kind="stable"))
 
 
-def _held(X_WG: Array, widths: Array | None, p_W: Array) -> tuple[Rows, Array, Array]:
-    """Which of N grasps hold some of the points (P, 3), and of these width and contact in W."""
+def between_fingers(
+    X_WG: Array, widths: Array | None, cloud: PointCloud
+) -> tuple[Rows, Array, Array]:
+    """Returns which of N grasps have something that was seen between their fingers, and where.
+
+    Args:
+        X_WG: (N, 4, 4).
+        widths: (N,) [m], how far apart the fingers are there; None: as far as they go.
+        cloud: what was seen, in W.
+
+    Returns:
+        (M,) rows of the grasps; (M,) [m] how far what is between reaches along y of G; (M, 3) in W,
+        the point of it that a pad touches first, nearest to that axis.
+    """
+    p_W = cloud.xyzs().T.astype(np.float64)
     half = np.full(len(X_WG), MAX_OPENING / 2)
     if widths is not None:
         half = np.minimum(half, widths / 2 + BESIDE)
