@@ -15,6 +15,7 @@ import pytest
 import vlm_server as mishaps
 from command import refused, tog
 from loopback import LoopbackServer
+from synthetic_weights import write_checkpoint
 from tabletop import RED, TABLE, look
 
 from tog_drake.cloud import CloudConfig, scene_cloud
@@ -495,12 +496,25 @@ def test_a_server_that_cannot_start_is_one_line(tmp_path):
     refused(tog("serve", "proposer", "--host", "no such host"), "cannot listen on no such host")
 
 
-def test_a_server_for_others_says_that_anybody_can_use_it(monkeypatch):
+@pytest.fixture
+def unheard(monkeypatch):
+    """A server that ends as soon as it has said what it says."""
     for name in ("serve_forever", "server_bind", "server_activate"):
         monkeypatch.setattr(ProposerServer, name, lambda server: None)
     monkeypatch.setattr(ProposerServer, "server_port", 8001, raising=False)
+
+
+def test_a_server_for_others_says_that_anybody_can_use_it(unheard):
     at_home, for_all = (tog("serve", "proposer", "--host", h) for h in ("127.0.0.1", "0.0.0.0"))
     assert at_home.status == for_all.status == 0
     assert "http://127.0.0.1:8001/propose" in at_home.out
     assert "anybody" not in at_home.out
     assert "anybody who reaches 0.0.0.0 on the network can use it" in for_all.out
+
+
+def test_a_server_says_whose_weights_it_has(unheard, tmp_path):
+    write_checkpoint(tmp_path / "synthetic.pt")
+    done = tog("serve", "proposer", "--checkpoint", tmp_path / "synthetic.pt")
+    assert done.status == 0, done.err
+    assert "synthetic.pt, not the released checkpoint" in done.out
+    assert "proposer contact-graspnet: http://127.0.0.1:8001/propose" in done.out
