@@ -20,6 +20,7 @@ from tabletop import RED, TABLE, look
 
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError, NoGrasp, NoProposal
+from tog_drake.grasp_check import check_grasps, turned
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.proposers import propose_protocol, serving
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
@@ -107,6 +108,14 @@ def test_what_a_network_says_in_single_precision_comes_through_bit_for_bit(scene
     for expected in (said, far):
         with serving_by(lambda request, expected=expected: expected) as (port, _):
             same(remote(port).propose(seen, view), expected)
+
+
+def test_the_grasps_of_a_server_hold_the_block(scene):
+    view, seen = scene
+    with serving_by(proposals(PipelineConfig(proposer=QUICK))) as (port, _):
+        grasps = remote(port).propose(seen, view)
+    assert check_grasps(grasps, seen).count("") > 0.8 * len(grasps)
+    assert "" not in check_grasps(turned(grasps, 90), seen)
 
 
 def test_a_request_arrives_as_it_was_sent(scene):

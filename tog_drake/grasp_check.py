@@ -11,11 +11,10 @@ from pydrake.perception import PointCloud
 
 from tog_drake.drawing import Image, draw_grasps
 from tog_drake.hand_boxes import hand_boxes, points_inside
-from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH, arrival_opening
+from tog_drake.panda import FINGERTIP_Z, PAD_WIDTH, PALM_Z, arrival_opening
 from tog_drake.values import Array, Grasps, View
 
 TOLERANCE = 0.006  # [m] of the contacts: widths in steps of 8 mm, points every 3 mm, noise
-PAD_LENGTH = 0.020  # [m] of a finger's end along z_G that may touch
 FEWEST = 4  # points between the fingers; fewer hold nothing
 STRAY = 3  # points that the open hand may meet
 FACING = np.cos(np.radians(35))  # of a surface to the finger that presses on it
@@ -39,8 +38,9 @@ def check_grasps(grasps: Grasps, cloud: PointCloud) -> list[str]:
     The hand's two fingers are alike: a grasp that is turned by 180° about its approach has the
     same verdict. One that is turned by 90° has it on round things alone.
 
-    A single view shows the side of a thing that is turned away neither as points nor as nothing:
-    the far end may be missing where a face to the near finger is seen.
+    A single view does not show all that is held. The far end of it may be missing where a face to
+    the near finger is seen; what is seen may be far above the tips; and of a thing that is seen
+    from above alone, its edges must do.
 
     Args:
         cloud: in W, of the things on the table, with normals.
@@ -75,7 +75,7 @@ def _problem(grasp: Grasps, p_W: Array, normal: Array, blocked: bool) -> str:
         return "slanted"
     x, y, z = (grasp.p_WContact[0] - X[:3, 3]) @ R
     on_pad = abs(x) < PAD_WIDTH / 2 + TOLERANCE and abs(abs(y) - width / 2) < TOLERANCE
-    return "" if on_pad and -PAD_LENGTH < z < FINGERTIP_Z + TOLERANCE else "contact"
+    return "" if on_pad and PALM_Z < z < FINGERTIP_Z + TOLERANCE else "contact"
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class _Held:
     def between_fingers(p_G: Array, normal_G: Array, width: float) -> "_Held":
         reach = float(arrival_opening(np.array(width))) / 2
         box = (np.abs(p_G[:, 0]) < PAD_WIDTH / 2) & (np.abs(p_G[:, 1]) < reach)
-        box &= (p_G[:, 2] > FINGERTIP_Z - PAD_LENGTH) & (p_G[:, 2] < FINGERTIP_Z)
+        box &= (p_G[:, 2] > PALM_Z) & (p_G[:, 2] < FINGERTIP_Z)
         return _Held(p_G[box, 0], p_G[box, 1], normal_G[box, 1])
 
     def end(self, side: float) -> _End:
@@ -136,7 +136,13 @@ def turned(grasps: Grasps, degrees: float) -> Grasps:
     return replace(grasps, X_WG=grasps.X_WG @ X_GT)
 
 
-def check_image(view: View, grasps: Grasps, problems: list[str]) -> Image:
-    """Draws the grasps on the view, for a person: those that hold in green, the others in red."""
+def check_image(view: View, grasps: Grasps, problems: list[str], most: int = 40) -> Image:
+    """Draws the grasps on the view, for a person: those that hold in green, the others in red.
+
+    Of more than ``most`` every so many are drawn, from the best to the worst.
+    """
+    if len(grasps) > most:
+        rows = np.linspace(0, len(grasps) - 1, most).astype(np.int64)
+        return check_image(view, grasps.take(rows), [problems[i] for i in rows], most)
     colors = np.where(np.array([[p == ""] for p in problems]), (30, 185, 60), (230, 25, 35))
     return draw_grasps(view, grasps, colors.reshape(-1, 3), thickness=1.5, contacts=True)
