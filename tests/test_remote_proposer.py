@@ -475,6 +475,23 @@ def test_a_client_that_falls_silent_is_given_up(listening, monkeypatch):
         assert client.recv(100) == b""
 
 
+@pytest.mark.parametrize("end", [b"", b"\r\n"], ids=["in its headers", "in its body"])
+def test_a_client_that_drips_is_given_up(end, listening, monkeypatch):
+    monkeypatch.setattr(serving, "READING", 0.3)
+    with socket.create_connection(("127.0.0.1", listening), timeout=0.02) as client:
+        client.sendall(b"POST /propose HTTP/1.1\r\nContent-Length: 9999\r\n" + end)
+        for _ in range(1000):
+            try:
+                client.sendall(b"x")
+                assert client.recv(100)[9:12] in (b"", b"408")
+            except TimeoutError:
+                continue
+            except ConnectionError:  # it hung up while this end was sending
+                pass
+            return
+    pytest.fail("it was not given up")
+
+
 def test_more_clients_than_there_is_room_for_are_turned_away_and_room_is_made_again(
     listening, monkeypatch
 ):

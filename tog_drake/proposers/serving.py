@@ -6,9 +6,11 @@ asks for no key and speaks plain HTTP.
 """
 
 import json
+import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
@@ -25,7 +27,7 @@ from tog_drake.values import Grasps
 
 MAX_REQUEST = 100_000_000  # [bytes]; a view of 1920 × 1080 with its cloud has about 20 million
 MAX_CLIENTS = 16  # at a time; more are turned away
-READING = 60.0  # [s] for a request to arrive
+READING = 60.0  # [s] for a request to arrive, headers and body
 SILENCE = 10.0  # [s] without a byte of it
 WAITING = 300.0  # [s] until it is one's turn
 
@@ -46,6 +48,7 @@ class ProposerServer(ThreadingHTTPServer):
     """
 
     daemon_threads = True
+    request_queue_size = MAX_CLIENTS
 
     def __init__(
         self, address: tuple[str, int], name: str, propose: Propose, say: Callable[[str], None]
@@ -93,6 +96,21 @@ class _Handler(BaseHTTPRequestHandler):
     server: ProposerServer
     timeout = SILENCE
 
+    def setup(self) -> None:
+        super().setup()
+        # A client that sends a byte now and then would never let the socket time out.
+        self._arriving = threading.Timer(READING, self._stop_reading)
+        self._arriving.daemon = True
+        self._arriving.start()
+
+    def finish(self) -> None:
+        self._arriving.cancel()
+        super().finish()
+
+    def _stop_reading(self) -> None:
+        with suppress(OSError):
+            self.connection.shutdown(socket.SHUT_RD)
+
     def log_message(self, format: str, *args: Any) -> None:
         """The server says what there is to say."""
 
@@ -138,18 +156,14 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(411, "Content-Length must say how many bytes there are")
         if len(length) > 12 or int(length) > MAX_REQUEST:
             raise _Refused(413, f"the body has {length:.20} bytes; valid: at most {MAX_REQUEST}")
-        received, deadline = bytearray(), time.monotonic() + READING
         try:
-            while len(received) < int(length):
-                chunk = self.rfile.read1(min(65_536, int(length) - len(received)))
-                received += chunk
-                if not chunk or time.monotonic() > deadline:
-                    break
+            received = self.rfile.read(int(length))
         except TimeoutError:
-            pass
+            received = b""
         if len(received) < int(length):
-            raise _Refused(408, f"only {len(received)} of {length} bytes arrived in time")
-        return bytes(received)
+            raise _Refused(408, f"the {length} bytes of the body did not arrive in time")
+        self._arriving.cancel()
+        return received
 
     def _answer(self, request: Request) -> dict[str, Any]:
         try:
