@@ -29,6 +29,7 @@ test: $(VENV)/test.stamp
 # Each run is saved under out/bench; `make bench-compare` sets a new one beside the last, or beside
 # the one that it is given: `make bench-compare RUN=0001`.
 BENCH = $(BIN)/python -m pytest tests/benchmarks/bench_stages.py tests/benchmarks/bench_peers.py \
+	tests/benchmarks/bench_contact_graspnet.py \
 	--benchmark-storage=out/bench --benchmark-columns=median,iqr,rounds --benchmark-sort=fullname
 
 bench: $(VENV)/test.stamp
