@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic_weights import synthetic_network, write_checkpoint
 
-from tog_drake.proposers.contact_graspnet import ContactGraspNet
+from tog_drake.proposers.contact_graspnet import ContactGraspNet, sampling
 from tog_drake.proposers.contact_graspnet.decoding import BIN_WIDTHS, hand_poses, widths
 from tog_drake.proposers.contact_graspnet.network import LEVEL_1, LEVEL_2, LEVEL_3
 from tog_drake.proposers.contact_graspnet.sampling import (
@@ -223,7 +224,7 @@ import sys
 sys.modules["torch"] = None
 from tog_drake.errors import InputError
 try:
-    from tog_drake.proposers.contact_graspnet import ContactGraspNet
+    from tog_drake.proposers.contact_graspnet import ContactGraspNet, sampling
 except InputError as error:
     print(error)
 """
@@ -255,17 +256,18 @@ def test_farthest_points_are_those_of_a_walk_over_all_points(count, grid, seed, 
     np.testing.assert_array_equal(farthest_points(points, picks), _walk(points, picks))
 
 
-@settings(max_examples=12)
-@given(
-    count=st.integers(4096, 9000),
-    grid=st.sampled_from([0.0, GRID, 0.02, 0.1, 1.0]),
-    flat=st.sampled_from([0.0, 0.1, 1.0]),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_also_where_the_walk_skips_most_points(count, grid, flat, seed):
+@settings(max_examples=60)
+@given(**CLOUDS, picks=st.integers(1, 400), active=st.integers(1, 60))
+def test_also_where_the_walk_skips_most_points(count, grid, seed, picks, active):
     points = random_cloud(np.random.default_rng(seed), count, grid)
-    points[:, 2] *= np.float32(flat)
-    np.testing.assert_array_equal(farthest_points(points, 500), _walk(points, 500))
+    with patch.multiple(sampling, MANY=64, FIRST=5, ACTIVE=active):
+        np.testing.assert_array_equal(farthest_points(points, picks), _walk(points, picks))
+
+
+@pytest.mark.parametrize("grid", [0.0, GRID, 0.1])
+def test_also_in_a_large_cloud(grid):
+    points = random_cloud(np.random.default_rng(4), 9000, grid)
+    np.testing.assert_array_equal(farthest_points(points, 1000), _walk(points, 1000))
 
 
 def _walk(points, count):
@@ -290,17 +292,20 @@ def test_when_there_is_no_further_point_the_first_is_picked_again():
     assert (rows[7:] == 0).all()
 
 
-@settings(max_examples=40)
-@given(**CLOUDS, radius=st.floats(0.001, 0.3), most=st.integers(1, 64))
-def test_a_ball_holds_the_first_points_that_are_near_enough(count, grid, seed, radius, most):
+@settings(max_examples=60)
+@given(
+    **CLOUDS,
+    radius=st.floats(0.001, 0.3),
+    most=st.integers(1, 64),
+    dense=st.sampled_from([1, 10, 100, 4096]),
+)
+def test_a_ball_holds_the_first_points_that_are_near_enough(count, grid, seed, radius, most, dense):
     rng = np.random.default_rng(seed)
     points = random_cloud(rng, count, grid)
-    centres = points[rng.integers(0, count, 40)]
-    for r, near in zip(
-        (radius, 2 * radius),
-        ball_query(points, centres, (radius, 2 * radius), (most, 2 * most)),
-        strict=True,
-    ):
+    centres = points[rng.integers(0, count, 60)]
+    with patch.object(sampling, "DENSE", dense):
+        found = ball_query(points, centres, (radius, 2 * radius), (most, 2 * most))
+    for r, near in zip((radius, 2 * radius), found, strict=True):
         k = most if r == radius else 2 * most
         for i, centre in enumerate(centres):
             d = points - centre

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-CHUNK = 4096  # rows of a group tensor at a time on a CPU, so that they stay in its cache
+CHUNK = 2048  # rows of a group tensor at a time on a CPU, so that they stay in its cache
 CHUNK_ELSEWHERE = 1 << 20
 
 

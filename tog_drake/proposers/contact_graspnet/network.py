@@ -9,6 +9,7 @@ unchanged.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
@@ -21,6 +22,7 @@ from torch import Tensor, nn
 from tog_drake.proposers.contact_graspnet.decoding import hand_poses, widths
 from tog_drake.proposers.contact_graspnet.layers import Layer, layer, matrix, pooled
 from tog_drake.proposers.contact_graspnet.sampling import (
+    Each,
     ball_query,
     farthest_points,
     three_nearest,
@@ -130,9 +132,10 @@ class ContactGraspNet(nn.Module):
         """The contacts (B, 2048, 3) [m] and their features (B·2048, 256)."""
         batch = len(points)
         xyz0 = points.flatten(0, 1)
-        at1 = _level(points.cpu().numpy(), 2048, LEVEL_1)
-        at2 = _level(at1.xyz, 512, LEVEL_2)
-        at3 = _level(at2.xyz, 128, LEVEL_3)
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+            at1 = _level(points.detach().cpu().numpy(), 2048, LEVEL_1, pool.map)
+            at2 = _level(at1.xyz, 512, LEVEL_2, pool.map)
+            at3 = _level(at2.xyz, 128, LEVEL_3, pool.map)
         xyz1, xyz2, xyz3 = (torch.from_numpy(at.xyz).to(points.device) for at in (at1, at2, at3))
         sa1 = self.sa1(xyz0, xyz0, xyz1.flatten(0, 1), at1.neighbours, running)
         sa2 = self.sa2(sa1, xyz1.flatten(0, 1), xyz2.flatten(0, 1), at2.neighbours, running)
@@ -225,11 +228,11 @@ class _Level:
     """For each scale (B·M, K) rows of the B·N points before and how many are not repeats (B·M,)."""
 
 
-def _level(xyz: NDArray[np.float32], count: int, scales: Sequence[Scale]) -> _Level:
+def _level(xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], each: Each) -> _Level:
     """Picks ``count`` of the points (B, N, 3) of each cloud, and their neighbours among them."""
     radii, most = [s.radius for s in scales], [s.most for s in scales]
     centres = np.stack([cloud[farthest_points(cloud, count)] for cloud in xyz])
-    found = [ball_query(cloud, c, radii, most) for cloud, c in zip(xyz, centres, strict=True)]
+    found = [ball_query(cloud, c, radii, most, each) for cloud, c in zip(xyz, centres, strict=True)]
     neighbours = []
     for scale in zip(*found, strict=True):
         rows = [near.index + i * xyz.shape[1] for i, near in enumerate(scale)]

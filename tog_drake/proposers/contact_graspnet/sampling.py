@@ -5,7 +5,7 @@ differences, squares summed in the order x, y, z) as a walk over all points woul
 to the lowest index. numpy alone; one cloud at a time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 Points = NDArray[np.float32]  # (N, 3) [m]
 Rows = NDArray[np.int64]
+Each = Callable[[Callable[[Rows], None], Iterable[Rows]], Iterable[None]]
 
 MANY = 4096  # points; of fewer, a walk over all of them is the fastest way to the farthest
 FIRST = 64  # farthest points that are picked by a walk over all
 ACTIVE = 700  # points that are walked over afterwards
 BLOCKS = 128  # of points that are brought up to date together
+DENSE = 4096  # points near a group of centres; of more, so many are looked at first
 GROUP = 48  # centres whose distances are computed together: they fit into the cache
 
 
@@ -134,7 +136,11 @@ class Neighbours:
 
 
 def ball_query(
-    points: Points, centres: Points, radii: Sequence[float], most: Sequence[int]
+    points: Points,
+    centres: Points,
+    radii: Sequence[float],
+    most: Sequence[int],
+    each: Each = map,
 ) -> list[Neighbours]:
     """The points within each radius of each centre, the lowest rows first.
 
@@ -145,46 +151,65 @@ def ball_query(
         centres: (M, 3) [m], each of which is one of the points.
         radii: [m]; a point exactly that far belongs to the ball.
         most: how many points are kept for each radius.
+        each: calls a function for each of many things, as ``map`` does; of a pool of threads it
+            may do so at the same time.
 
     Returns:
         One for each radius.
     """
-    index = [np.empty((len(centres), k), np.int64) for k in most]
-    count = [np.empty(len(centres), np.int64) for _ in most]
     xyz = np.ascontiguousarray(points.T)
-    for group in _groups(centres):
-        near, distance = _near(xyz, centres[group], max(radii))
-        start = np.arange(len(group) + 1) * len(near)
-        for radius, k, index_of, count_of in zip(radii, most, index, count, strict=True):
-            hit = np.flatnonzero(distance <= np.float32(radius * radius))  # centre by centre
+    balls = [
+        _Ball(radius, np.empty((len(centres), k), np.int64), np.empty(len(centres), np.int64))
+        for radius, k in zip(radii, most, strict=True)
+    ]
+    for _ in each(lambda group: _search(xyz, group, centres[group], balls), _groups(centres)):
+        pass
+    return [Neighbours(ball.index, ball.count) for ball in balls]
+
+
+@dataclass(frozen=True)
+class _Ball:
+    """What ``ball_query`` finds for one radius."""
+
+    radius: float  # [m]
+    index: Rows  # (M, K)
+    count: Rows  # (M,)
+
+
+def _search(xyz: NDArray[np.float32], group: Rows, centres: Points, balls: Sequence[_Ball]) -> None:
+    """Fills in the rows ``group`` of the balls: the points (3, N) that are near those centres.
+
+    In a dense cloud the first points already fill the balls, the large ones before the small.
+    """
+    for columns in (DENSE, xyz.shape[1]):
+        near = _in_box(xyz, centres, max(ball.radius for ball in balls))
+        part = near[:columns]
+        distance = squared_distances(centres.T[:, :, None], xyz.take(part, axis=1)[:, None])
+        start = np.arange(len(centres) + 1) * len(part)
+        for ball in balls:
+            hit = np.flatnonzero(distance <= np.float32(ball.radius**2))  # centre by centre
             first = hit.searchsorted(start)
             hits = np.diff(first)[:, None]
-            slot = np.arange(k)
-            slot = first[:-1, None] + slot * (slot < hits)
-            index_of[group] = near.take(hit.take(slot) - start[:-1, None])
-            count_of[group] = np.minimum(hits[:, 0], k)
-    return [Neighbours(i, c) for i, c in zip(index, count, strict=True)]
+            most = ball.index.shape[1]
+            ball.count[group] = np.minimum(hits[:, 0], most)
+            if len(hit) > 0:
+                slot = np.arange(most)
+                slot = first[:-1, None] + slot * (slot < hits)
+                ball.index[group] = part.take(hit.take(slot, mode="clip") % len(part))
+        balls = [ball for ball in balls if ball.count[group].min() < ball.index.shape[1]]
+        if len(part) == len(near) or not balls:
+            return
 
 
-def _near(
-    xyz: NDArray[np.float32], centres: Points, reach: float
-) -> tuple[Rows, NDArray[np.float32]]:
-    """The points (columns of ``xyz``) in the box that holds all within ``reach`` of a centre.
-
-    Returns:
-        Their columns, ascending (C,); squared distances [m²] of every centre to them (M, C).
-    """
+def _in_box(xyz: NDArray[np.float32], centres: Points, reach: float) -> Rows:
+    """The columns of ``xyz``, ascending, in the box that holds all within ``reach`` of a centre."""
     reach *= 1 + 1e-5  # the box is rounded
     lower, upper = centres.min(axis=0) - reach, centres.max(axis=0) + reach
-    near = np.flatnonzero(
-        (xyz[0] >= lower[0])
-        & (xyz[0] <= upper[0])
-        & (xyz[1] >= lower[1])
-        & (xyz[1] <= upper[1])
-        & (xyz[2] >= lower[2])
-        & (xyz[2] <= upper[2])
-    )
-    return near, squared_distances(centres.T[:, :, None], xyz.take(near, axis=1)[:, None])
+    inside = (xyz[0] >= lower[0]) & (xyz[0] <= upper[0])
+    for axis in (1, 2):
+        inside &= xyz[axis] >= lower[axis]
+        inside &= xyz[axis] <= upper[axis]
+    return np.flatnonzero(inside)
 
 
 def _groups(points: Points) -> list[Rows]:
