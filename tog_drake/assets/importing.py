@@ -1,5 +1,6 @@
 """From a mesh file to an object that can be grasped: read, clean, simplify, weigh, write, test."""
 
+import errno
 import json
 import os
 import re
@@ -122,10 +123,11 @@ def _put_in_place(unfinished: Path, target: Path) -> None:
             unfinished.rename(target)
             return
         except BaseException as error:
+            if isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                continue  # another import was faster
             if aside.exists() and not target.exists():  # interrupted between the two
                 aside.rename(target)
-            if not isinstance(error, OSError) or not target.exists():
-                raise
+            raise
     raise InputError(f"{target} is written to by others without end; try again")
 
 
