@@ -18,7 +18,7 @@ def scanned_bar(folder, z=0.0):
     mesh = ScannedMesh(vertices, faces, None, None, (200, 30, 30))
     solid = solid_of(mesh)
     folder.mkdir(parents=True)
-    write_visual(mesh, folder)
+    write_visual(mesh, solid, folder)
     hull = bar.convex_hull
     skin = [(np.asarray(hull.vertices), np.asarray(hull.faces))]
     inertia = inertia_of(solid, skin, mass=0.1, density=400.0)

@@ -36,7 +36,7 @@ def _filters(inspector):
     rows = {}
     for geometry in inspector.GetAllGeometryIds(Role.kProximity):
         frame = inspector.GetName(inspector.GetFrameId(geometry))
-        if frame.split("::")[0] in ("panda", "hand", "table", "world"):
+        if frame.split("::")[0] in ("panda", "hand", "table"):
             place = inspector.GetPoseInFrame(geometry).translation().round(6)
             rows[(frame, inspector.GetName(geometry), *place)] = geometry
     assert sum("finger" in row[0] for row in rows) == 4

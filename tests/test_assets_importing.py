@@ -44,6 +44,7 @@ def test_a_scan_becomes_an_object_with_report_licence_and_a_picture(scan, librar
     assert report["mass"] == 0.2
     assert report["watertight"] and report["textured"] and report["settled"]["ok"]
     assert report["pieces"] == 1
+    assert "125.0 cm³, closed, textured, 1 convex pieces" in " ".join(done.err.split())
     assert 750 <= report["faces"]["core"] <= 3000  # of twelve: subdivided, else it would tip
     assert (library / "red_box_1" / "LICENSE.txt").read_text() == "CC BY 4.0, by nobody"
     picture = cv2.imread(str(library / "red_box_1" / "preview.png")).astype(int)
@@ -143,6 +144,22 @@ def test_what_a_killed_import_has_left_is_swept_away_and_nothing_else(library):
 def test_what_cannot_be_is_refused_before_anything_is_written(scan, library, options, words):
     refused(tog("assets", "import", scan, *options), *words)
     assert not library.exists() or not list(library.iterdir())
+
+
+def test_a_disk_that_takes_no_more_is_told_with_the_folder_and_leaves_nothing(
+    scan, library, monkeypatch
+):
+    def full(*_args):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(importing, "write_visual", full)
+    with pytest.raises(OSError, match=r"library: No space left.*TOG_ASSETS"):
+        import_mesh(scan, "thing", ImportOptions(scale=0.02))
+    assert list(library.iterdir()) == []
+
+
+def test_a_folder_is_no_mesh_and_add_dir_is_named(scan):
+    refused(tog("assets", "import", scan.parent), "is a folder", "add-dir")
 
 
 def test_two_meshes_of_one_name_or_one_name_for_two_are_refused(scan):

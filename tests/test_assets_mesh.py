@@ -13,6 +13,7 @@ from PIL import Image
 from tog_drake.assets import foreign
 from tog_drake.assets.foreign import Beside
 from tog_drake.assets.mesh import FORMATS, read_mesh, solid_of
+from tog_drake.assets.visual import write_visual
 from tog_drake.errors import InputError
 
 
@@ -229,3 +230,73 @@ def test_a_tetrahedron_is_no_debris_but_loose_and_flat_triangles_are_refused():
                            [[0, 1, 2], [0, 2, 3]])  # fmt: skip
     with pytest.raises(InputError, match="flat"):
         solid_of(_scanned(flat))
+
+
+def _material(**look):
+    return trimesh.visual.TextureVisuals(
+        uv=np.full((8, 2), 0.5), material=trimesh.visual.material.PBRMaterial(**look)
+    )
+
+
+def test_what_several_gltf_materials_show_stays_when_they_become_one_image(tmp_path):
+    colors = {"white": (250, 250, 250), "brown": (150, 80, 20)}
+    scene = trimesh.Scene()
+    for i, (name, color) in enumerate(colors.items()):
+        cube = tiny_meshes.box(0.03, 0.03, 0.03, at=(0.04 * i, 0, 0))
+        image = Image.new("RGB", (16, 16), color)
+        cube.visual = _material(baseColorTexture=image, baseColorFactor=[255] * 4)
+        scene.add_geometry(cube, node_name=name)
+    scene.export(tmp_path / "two.glb")
+    mesh = read_mesh(tmp_path / "two.glb")
+    seen = trimesh.visual.color.uv_to_color(mesh.uv, mesh.texture)[:, :3].astype(int)
+    of = np.where(mesh.vertices[:, 0] < 0.02, 0, 1)
+    np.testing.assert_allclose(seen, np.array(list(colors.values()))[of], atol=3)
+
+
+def test_a_tinted_texture_and_a_plain_colour_of_gltf_are_turned_from_linear_to_srgb(tmp_path):
+    half = [128, 128, 128, 255]  # linear: 188 of sRGB
+    for look in ({}, {"baseColorTexture": Image.new("RGB", (16, 16), (255, 255, 255))}):
+        cube = tiny_meshes.box(0.03, 0.03, 0.03)
+        cube.visual = _material(baseColorFactor=half, **look)
+        cube.export(tmp_path / "cube.glb")
+        mesh = read_mesh(tmp_path / "cube.glb")
+        color = mesh.texture.getpixel((3, 3)) if look else mesh.color
+        np.testing.assert_allclose(color, [186] * 3, atol=2)
+
+
+def test_a_grey_texture_of_16_bits_keeps_its_levels(tmp_path):
+    levels = np.tile(np.linspace(0, 65535, 16).astype(np.uint16), (16, 1))
+    Image.fromarray(levels).save(tmp_path / "paint.png")
+    mesh = read_mesh(tiny_meshes.write_box_obj(tmp_path / "box.obj", texture="paint.png"))
+    seen = np.asarray(mesh.texture)[0]
+    np.testing.assert_allclose(seen, np.linspace(0, 255, 16)[:, None] * np.ones(3), atol=1)
+
+
+@pytest.mark.parametrize("name", ["textures/Paint.PNG", "D:\\scans\\textures\\paint.png"])
+def test_a_texture_in_a_folder_beside_the_mesh_is_found_whatever_its_capitals(tmp_path, name):
+    (tmp_path / "textures").mkdir()
+    Image.new("RGB", (8, 8)).save(tmp_path / "textures" / "paint.png")
+    mesh = read_mesh(tiny_meshes.write_box_obj(tmp_path / "box.obj", texture=name))
+    assert mesh.texture is not None and mesh.notes == ()
+
+
+def test_a_surface_too_fine_to_feel_is_decimated_and_its_volume_that_of_the_file(monkeypatch):
+    monkeypatch.setattr("tog_drake.assets.mesh.FINEST", 500)
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.04)
+    solid = solid_of(_scanned(ball))
+    assert len(ball.faces) == 5120 and len(solid.faces) <= 500
+    assert solid.watertight and solid.volume == pytest.approx(ball.volume)
+    np.testing.assert_allclose(np.linalg.norm(solid.vertices, axis=1), 0.04, atol=0.002)
+
+
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_what_winds_inwards_is_seen_from_outside_in_the_visual(tmp_path, all_of_them):
+    shape = tiny_meshes.l_shape()
+    wrong = slice(None) if all_of_them else slice(0, None, 3)
+    shape.faces[wrong] = shape.faces[wrong, ::-1].copy()
+    mesh = _scanned(shape)
+    write_visual(mesh, solid_of(mesh), tmp_path)
+    seen = trimesh.load(tmp_path / "visual.gltf", force="mesh", process=False)
+    assert seen.is_winding_consistent
+    assert seen.volume == pytest.approx(5 * 0.03**3)
+    assert seen.visual.material.doubleSided  # what is open is seen from inside

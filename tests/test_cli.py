@@ -473,8 +473,11 @@ def test_the_parts_are_named_in_turn_by_the_seed():
 
 
 def test_groups_stand_for_all_single_objects_and_all_clutter():
-    objects, clutter = (scenario_names([group]) for group in ("objects", "clutter"))
+    objects, clutter, scans = (
+        scenario_names([group]) for group in ("objects", "clutter", "clutter-scans")
+    )
     assert clutter == list(CLUTTER)
+    assert scans == [f"Tog29{name}" for name in clutter]
     assert set(objects) == set(scenario_files()) - set(clutter) - set(SCANNED)
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import scanned_bar
 
-from tog_drake.cells import SCANNED
+from tog_drake.cells import CLUTTER, SCANNED
 from tog_drake.errors import InputError
 from tog_drake.pipeline import Antipodal, Oracle, Random
 from tog_drake.scenario import (
@@ -18,6 +18,7 @@ from tog_drake.scenario import (
     sampled_directives,
     scenario_files,
 )
+from tog_drake.suite import object_labels
 
 
 def _parse(text):
@@ -40,6 +41,17 @@ def test_every_object_has_a_scenario_that_loads():
         scenario = load_scenario(name)
         for file in model_files(scenario).values():
             assert file.is_file()
+
+
+@pytest.mark.parametrize("name", CLUTTER)
+def test_clutter_of_scans_has_as_many_objects_labelled_and_told_apart_by_name(name):
+    scans, built_in = load_scenario(f"Tog29{name}"), load_scenario(name)
+    models = [d.add_model for d in scans.directives if d.add_model is not None]
+    assert len(models) == len(model_files(built_in))
+    names = {object_labels(model.name).object for model in models}
+    assert len(names) == len(models)
+    for model in models:
+        assert model.file == f"package://tog_assets/{model.name}/model.sdf"
 
 
 def test_an_unknown_scenario_names_the_valid_ones():

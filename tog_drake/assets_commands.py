@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 from rich.table import Table
 
-from tog_drake.assets.reporting import line_of, rows_of
+from tog_drake.assets.reporting import details_of, line_of, rows_of
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, write_atomically
 from tog_drake.options import JsonOption, valid
@@ -68,6 +68,7 @@ def import_(
         with console.status(f"importing {mesh.name} ..."):
             reports[called] = import_mesh(mesh, called, options)
         say(console, f"{called}: {line_of(reports[called])}")
+        say(console, f"  {details_of(reports[called])}")
         for note in reports[called]["notes"]:
             say(console, f"  note: {note}")
     print_json(as_json, reports)

@@ -15,7 +15,9 @@ from tog_drake.summary import TASK_BLIND
 
 CLUTTER = ("Household", "Kitchen", "Tools")
 """The scenarios of several objects; every other one holds a single object."""
-SCANNED = ("Tog29", "Tog29Bottles", "Tog29Toys")
+SCANNED_CLUTTER = ("Tog29Household", "Tog29Kitchen", "Tog29Tools")
+"""The same of imported objects."""
+SCANNED = ("Tog29", "Tog29Bottles", "Tog29Toys", *SCANNED_CLUTTER)
 """Scenarios of imported objects."""
 
 # What is asked of an object, by the kind of task.
@@ -48,10 +50,11 @@ class Cell:
 
 
 def scenario_names(names: Iterable[str]) -> list[str]:
-    """Returns scenarios by name; `objects` and `clutter` stand for all of that kind."""
+    """Returns scenarios by name; `objects`, `clutter`, `clutter-scans` stand for all of a kind."""
     groups = {
         "objects": [name for name in scenario_files() if name not in CLUTTER + SCANNED],
         "clutter": list(CLUTTER),
+        "clutter-scans": list(SCANNED_CLUTTER),
     }
     return [scenario for name in names for scenario in groups.get(name, [name])]
 

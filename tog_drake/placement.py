@@ -22,7 +22,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from tog_drake.assets.contact import prepare_contacts
+from tog_drake.assets.ground import finalize
 from tog_drake.assets.library import PACKAGE
 from tog_drake.errors import InputError
 from tog_drake.resources import make_package_map
@@ -147,8 +147,7 @@ class _Table:
         _check_base_frames(directives)
         without_poses = _with_poses(directives.directives, lambda model: {})
         ProcessModelDirectives(ModelDirectives(directives=without_poses), parser)
-        self.plant.Finalize()
-        prepare_contacts(self.plant, scene_graph)
+        finalize(self.plant, scene_graph)
         self.diagram = builder.Build()
         self._objects = [
             (self.plant.GetBodyByName(body, self.plant.GetModelInstanceByName(model.name)), pose)

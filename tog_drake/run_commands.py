@@ -215,8 +215,8 @@ def evaluate_(
     scenarios: Annotated[
         str,
         typer.Option(
-            help="Comma-separated; `objects` is every single object, `clutter` all three, `tog29` "
-            "a suite of imported objects with tasks of its own."
+            help="Comma-separated; `objects` is every single object, `clutter` all three, "
+            "`clutter-scans` those of imported objects, `tog29` a suite of them with its tasks."
         ),
     ] = "objects",
     suite: SuiteOptions,

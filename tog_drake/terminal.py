@@ -21,11 +21,14 @@ LONGEST = 100  # characters of what a model says that are shown on a line
 
 
 def keep_drake_quiet() -> None:
-    """Keeps Drake's notices off stderr, but not its warnings.
+    """Keeps Drake's notices off stderr, but not its warnings of what there may be.
 
-    By a filter, because Drake sets the level of its logger itself when it is imported.
+    By a filter, because Drake sets the level of its logger itself when it is imported. Of any half
+    space Drake warns that nothing deformable touches it; here nothing is deformable.
     """
-    logging.getLogger("drake").addFilter(lambda record: record.levelno >= logging.WARNING)
+    logging.getLogger("drake").addFilter(
+        lambda record: record.levelno >= logging.WARNING and "deformable" not in record.getMessage()
+    )
 
 
 def console_for(as_json: bool) -> Console:

@@ -48,20 +48,21 @@ def core_of(solid: Solid, faces: int = CORE_FACES) -> tuple[Array, Faces]:
     low, high = FACES_RANGE
     if not low <= faces <= high:
         raise InputError(f"--faces must be from {low} to {high}, not {faces}")
+    vertices, triangles = solid.vertices, solid.faces
+    if 2 * len(triangles) < faces:
+        edge = 2 * np.sqrt(trimesh.triangles.area(vertices[triangles]).sum() / faces)
+        vertices, triangles = trimesh.remesh.subdivide_to_size(
+            vertices, triangles, max_edge=edge, max_iter=30
+        )  # of long thin triangles it makes far too many
     # It works in single precision about the origin.
-    middle = solid.vertices.mean(axis=0)
-    points, triangles = (solid.vertices - middle).astype(np.float32), solid.faces.astype(np.int32)
+    middle = vertices.mean(axis=0)
+    points, triangles = (vertices - middle).astype(np.float32), triangles.astype(np.int32)
     for haste in _HASTE:
         if len(triangles) > faces:
             points, triangles = fast_simplification.simplify(
                 points, triangles, target_count=faces, agg=haste
             )
     vertices = points.astype(np.float64) + middle
-    if 2 * len(triangles) < faces:
-        edge = 2 * np.sqrt(trimesh.triangles.area(vertices[triangles]).sum() / faces)
-        vertices, triangles = trimesh.remesh.subdivide_to_size(
-            vertices, triangles, max_edge=edge, max_iter=30
-        )
     core = trimesh.Trimesh(vertices, triangles, process=False)
     core.update_faces(core.nondegenerate_faces() & core.unique_faces())
     core.remove_unreferenced_vertices()

@@ -54,7 +54,7 @@ def prepare_contacts(plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
             others.Add(geometry)
             if name == CORE and skin:
                 cores.Add(geometry)
-            soft = plant.IsAnchored(body) and _modulus(inspector, geometry) < MODULUS
+            soft = plant.IsAnchored(body) and modulus_of(inspector, geometry) < MODULUS
             if soft or body.name() in FINGER_BODIES:
                 to_meet_cores.append(geometry)
             if body.name() in FINGER_BODIES:
@@ -90,7 +90,7 @@ def _mesh_coarsely(plant: MultibodyPlant, scene_graph: SceneGraph, geometry: Geo
     )
 
 
-def _modulus(inspector: SceneGraphInspector, geometry: GeometryId) -> float:
+def modulus_of(inspector: SceneGraphInspector, geometry: GeometryId) -> float:
     """The hydroelastic modulus [Pa]; infinite for what is rigid or has none."""
     properties = inspector.GetProximityProperties(geometry)
     return float(

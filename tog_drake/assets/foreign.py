@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from tog_drake.assets.look import image_of
 from tog_drake.errors import InputError
 
 MAX_FILE_BYTES = 500_000_000
@@ -29,15 +30,17 @@ class Beside:
         """Returns the content of a file in the mesh's folder.
 
         A path that leads elsewhere, such as ``C:\\scans\\texture.png``, ``../texture.png`` or a
-        network address, stands for the file of that name here.
+        network address, stands for the file of that name here, or in such a folder ``scans`` here;
+        small letters may stand for capitals.
 
         Raises:
             FileNotFoundError: there is none, or it is too large.
         """
         plain = unquote(name.strip()).replace("\\", "/")
-        last = plain.rsplit("/", 1)[-1]
+        parts = plain.rsplit("/", 3)
+        tails = ["/".join(parts[-kept:]) for kept in (3, 2, 1)]
         # The options of an MTL stand before the name: -s 1 1 1 texture.png
-        for candidate in (name.strip(), plain, last, last.rsplit(" ", 1)[-1]):
+        for candidate in (name.strip(), plain, *tails, parts[-1].rsplit(" ", 1)[-1]):
             found = self._inside(candidate)
             if found is not None:
                 return found.read_bytes()
@@ -49,7 +52,11 @@ class Beside:
 
     def _inside(self, name: str) -> Path | None:
         try:
-            path = (self._folder / name).resolve()
+            path = self._folder / name
+            if not path.exists() and path.parent.is_dir():  # written where letters' case is nothing
+                alike = (p for p in path.parent.iterdir() if p.name.lower() == path.name.lower())
+                path = next(alike, path)
+            path = path.resolve()
             inside = path.is_relative_to(self._folder) and path.is_file()
             return path if inside and path.stat().st_size <= MAX_FILE_BYTES else None
         except (OSError, ValueError):  # a name that no file system knows
@@ -93,8 +100,10 @@ def load_meshes(path: Path) -> tuple[list[Any], list[str]]:
 
 
 def _check_faces(count: int) -> None:
-    if not 0 < count <= MAX_FACES:
-        raise InputError(f"it holds {count} triangles; valid: 1 to {MAX_FACES}")
+    if count == 0:
+        raise InputError("it holds no triangles; a cloud of points must be meshed first")
+    if count > MAX_FACES:
+        raise InputError(f"it holds {count} triangles; valid: up to {MAX_FACES}; decimate it first")
 
 
 def _check_textures(geometries: Any) -> None:
@@ -106,12 +115,6 @@ def _check_textures(geometries: Any) -> None:
     for image in images.values():
         if image.format not in (*TEXTURES, None):
             raise InputError(f"its texture is {image.format}; valid: {', '.join(TEXTURES)}")
-
-
-def image_of(mesh: Any) -> Any:
-    """Returns the texture of a trimesh mesh as a PIL image, or None."""
-    material = getattr(mesh.visual, "material", None)
-    return getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
 
 
 def _check_gltf(data: bytes) -> None:

@@ -1,5 +1,6 @@
 """From a mesh file to an object that can be grasped: read, clean, simplify, weigh, write, test."""
 
+import errno
 import json
 import os
 import re
@@ -24,7 +25,7 @@ from tog_drake.assets.collision import (
     fits,
     read_pieces,
 )
-from tog_drake.assets.library import PARTS, PREVIEW, REPORT, checked_name, library_dir
+from tog_drake.assets.library import PARTS, PREVIEW, REPORT, VARIABLE, checked_name, library_dir
 from tog_drake.assets.mesh import Axis, ScannedMesh, Solid, read_mesh, solid_of, turn_from, up_axis
 from tog_drake.assets.model import DENSITY, FRICTION, MODEL, Inertia, inertia_of, write_model
 from tog_drake.assets.preview import write_preview
@@ -73,15 +74,20 @@ def import_mesh(path: Path, name: str, options: ImportOptions) -> dict[str, Any]
     _check(options)
     started = time.perf_counter()
     target = library_dir() / checked_name(name)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    sweep()
     unfinished = target.parent / f".{os.getpid()}-{secrets.token_hex(4)}.tmp" / name
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        sweep()
         unfinished.mkdir(parents=True)
         report = _build(path, unfinished, options)
         report["seconds"] = round(time.perf_counter() - started, 2)
         write_atomically(unfinished / REPORT, json.dumps(report, indent=1) + "\n")
         _put_in_place(unfinished, target)
+    except OSError as error:
+        raise OSError(
+            f"cannot write to {target.parent}: {error.strerror or error}; make room, or name "
+            f"another folder by {VARIABLE}"
+        ) from error
     finally:
         shutil.rmtree(unfinished.parent, ignore_errors=True)
     return report
@@ -117,10 +123,11 @@ def _put_in_place(unfinished: Path, target: Path) -> None:
             unfinished.rename(target)
             return
         except BaseException as error:
+            if isinstance(error, OSError) and error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+                continue  # another import was faster
             if aside.exists() and not target.exists():  # interrupted between the two
                 aside.rename(target)
-            if not isinstance(error, OSError) or not target.exists():
-                raise
+            raise
     raise InputError(f"{target} is written to by others without end; try again")
 
 
@@ -143,10 +150,10 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
         raise InputError(
             f"{path} would weigh {inertia.mass:.3g} kg at {options.density:g} kg/m³: give --mass"
         )
-    write_visual(mesh, folder)
-    settled, faces = _write_settled(folder, solid, pieces, inertia, options)
+    write_visual(mesh, solid, folder)
+    settled, faces, finer = _write_settled(folder, solid, pieces, inertia, options)
     _keep_licence(path.parent / LICENCE, folder)
-    notes = [*mesh.notes, *notes, *_remarks(solid, settled, faces, options)]
+    notes = [*mesh.notes, *notes, *_remarks(solid, settled, faces, finer, options)]
     try:
         write_preview(folder, solid.vertices)
     except InputError as error:  # a machine that cannot render can still simulate
@@ -161,8 +168,8 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
 
 def _write_settled(
     folder: Path, solid: Solid, pieces: list[Piece], inertia: Inertia, options: ImportOptions
-) -> tuple[Settled, int]:
-    """Writes the model and tests it; returns how it lies, and the number of its core's faces.
+) -> tuple[Settled, int, bool]:
+    """Writes the model and tests it; returns how it lies, its core's faces, and if it is finer.
 
     Where nobody says how fine the core is to be and it does not lie still, it is made finer: small
     hooves end in spikes otherwise, which sink in.
@@ -173,16 +180,18 @@ def _write_settled(
         settled = settle(folder / MODEL, core[0])
         if settled.ok:
             break
-    return settled, len(core[1])
+    return settled, len(core[1]), faces == FINE_FACES
 
 
-def _remarks(solid: Solid, settled: Settled, faces: int, options: ImportOptions) -> list[str]:
+def _remarks(
+    solid: Solid, settled: Settled, faces: int, finer: bool, options: ImportOptions
+) -> list[str]:
     notes = []
     if not solid.watertight:
         notes.append("the surface is not closed: volume and inertia are estimates")
     if solid.dropped:
         notes.append(f"{solid.dropped} triangles were debris, and dropped")
-    if options.faces is None and faces > CORE_FACES:
+    if options.faces is None and settled.ok and finer:
         notes.append(f"it needs {faces} faces to lie still, which is slower to simulate")
     if not settled.ok:
         notes.append("it does not lie still on the table: see settled")
@@ -192,7 +201,7 @@ def _remarks(solid: Solid, settled: Settled, faces: int, options: ImportOptions)
 def _report(
     path: Path, mesh: ScannedMesh, solid: Solid, inertia: Inertia, settled: Settled
 ) -> dict[str, Any]:
-    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    lower, upper = solid.vertices.min(axis=0), solid.vertices.max(axis=0)  # without debris
     return {
         "file": path.name,
         "extent": np.round(upper - lower, 5).tolist(),  # [m]

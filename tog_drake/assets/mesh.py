@@ -13,16 +13,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tog_drake.assets.foreign import image_of, load_meshes
+from tog_drake.assets.foreign import load_meshes
+from tog_drake.assets.look import look_of, one_mesh
 from tog_drake.errors import InputError
 from tog_drake.values import Array
 
-FORMATS = (".obj", ".gltf", ".glb", ".ply", ".stl")
+GLTF = (".gltf", ".glb")
+FORMATS = (".obj", *GLTF, ".ply", ".stl")
 # What a hand of 8 cm may want to grasp, with a wide margin [m]: the longest side.
 PLAUSIBLE_EXTENT = (0.01, 2.0)
 MIN_THICKNESS = 0.0002  # [m] what is thinner is a picture of a thing
+FINEST = 100_000  # faces of a solid: what is finer than a third of a millimetre is not felt
 SLIVER = 8  # faces: a component with no more is debris of the scan (YCB has some of two)
-GREY = (160, 160, 160)
 
 Faces = NDArray[np.int64]
 Axis = Literal["z", "y"]
@@ -50,11 +52,12 @@ class Solid:
     watertight: bool
     dropped: int  # faces that were degenerate, double or debris
     volume: float  # [m³] of the surface, or of its convex hull where it is not watertight
+    turned: bool = False  # triangles of the file wound the other way
 
 
 def up_axis(path: Path) -> Axis:
     """Returns which axis points up where nobody says: glTF is y-up by its standard."""
-    return "y" if path.suffix.lower() in (".gltf", ".glb") else "z"
+    return "y" if path.suffix.lower() in GLTF else "z"
 
 
 def turn_from(up: Axis) -> Array:
@@ -73,8 +76,8 @@ def read_mesh(path: Path, *, scale: float = 1.0, up: Axis | None = None) -> Scan
     Raises:
         InputError: there is no such file, it holds no surface, or its size makes no sense.
     """
-    import trimesh
-
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; name a mesh in it, or use `tog assets add-dir`")
     if path.suffix.lower() not in FORMATS:
         raise InputError(f"{path} is no mesh that is read here; valid: {', '.join(FORMATS)}")
     if not (np.isfinite(scale) and scale > 0):
@@ -83,17 +86,19 @@ def read_mesh(path: Path, *, scale: float = 1.0, up: Axis | None = None) -> Scan
         meshes, missing = load_meshes(path)
         if not meshes:
             raise InputError("it holds no surface")
-        mesh: Any = meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(meshes)
+        mesh = one_mesh(meshes, linear=path.suffix.lower() in GLTF)
         vertices = np.asarray(mesh.vertices, np.float64) * scale
         faces = np.asarray(mesh.faces, np.int64)
         if not np.isfinite(vertices).all():
             raise InputError("it holds vertices that are not numbers")
         if faces.min() < 0 or faces.max() >= len(vertices):
             raise InputError("it holds triangles of vertices that are not there")
-        look = _appearance(mesh)
+        look = look_of(mesh)
     check_extent(path, np.ptp(vertices, axis=0), scale)
     notes = tuple(
-        f"{name!r:.200} is not in its folder: what it shows is left out" for name in missing
+        f"{name!r:.200} is not in its folder: what it shows is left out; to have it, put that file "
+        f"beside {path.name} and import it again"
+        for name in missing
     )
     return ScannedMesh(vertices @ turn_from(up or up_axis(path)).T, faces, *look, notes)
 
@@ -127,29 +132,11 @@ def check_extent(path: Path, extent: Array, scale: float) -> None:
     )
 
 
-def _appearance(
-    mesh: Any,
-) -> tuple[Array | None, Any, tuple[int, int, int], NDArray[np.uint8] | None]:
-    """Texture coordinates and image, or one colour, or the colours of vertices."""
-    visual = mesh.visual
-    image, uv = image_of(mesh), getattr(visual, "uv", None)
-    if uv is not None and image is not None and np.isfinite(uv).all():
-        image.load()  # to hear now that it is broken
-        if image.size[0] * image.size[1] <= 4:  # trimesh's way to say that there is none
-            red, green, blue = image.convert("RGB").getpixel((0, 0))
-            return None, None, (red, green, blue), None
-        return np.asarray(uv, np.float64), image, GREY, None
-    if visual.kind in ("vertex", "face"):
-        return None, None, GREY, np.asarray(visual.vertex_colors, np.uint8)[:, :3]
-    main = getattr(getattr(visual, "material", None), "main_color", None)
-    red, green, blue = (int(c) for c in (GREY if main is None else main[:3]))
-    return None, None, (red, green, blue), None
-
-
 def solid_of(mesh: ScannedMesh) -> Solid:
     """Merges what the texture's seams have split, and drops debris.
 
-    A surface that winds inwards is turned over. Holes are not closed.
+    A surface that winds inwards is turned over. Holes are not closed. One of more than ``FINEST``
+    faces is decimated.
 
     Raises:
         InputError: nothing is left, or it is flat.
@@ -168,38 +155,49 @@ def solid_of(mesh: ScannedMesh) -> Solid:
             f"the mesh is flat ({1000 * thickness:.2g} mm thick), which fills no space; give it "
             f"a thickness of {1000 * MIN_THICKNESS:g} mm or more"
         )
-    if not merged.is_winding_consistent:
+    turned = not merged.is_winding_consistent
+    if turned:
         merged.fix_normals()
     if merged.is_watertight and merged.volume < 0:
+        turned = True
         merged.invert()
     hull = float(merged.convex_hull.volume)
     watertight = bool(
         merged.is_watertight and merged.is_winding_consistent and 0 < merged.volume <= 1.001 * hull
     )
-    return Solid(
-        np.asarray(merged.vertices, np.float64),
-        np.asarray(merged.faces, np.int64),
-        watertight,
-        before - len(merged.faces),
-        float(merged.volume) if watertight else hull,
+    volume, dropped = float(merged.volume) if watertight else hull, before - len(merged.faces)
+    return Solid(*_decimated(merged), watertight, dropped, volume, turned)
+
+
+def _decimated(merged: Any) -> tuple[Array, Faces]:
+    """The vertices and faces of a surface, at most ``FINEST`` of these."""
+    vertices = np.asarray(merged.vertices, np.float64)
+    faces = np.asarray(merged.faces, np.int64)
+    if len(faces) <= FINEST:
+        return vertices, faces
+    import fast_simplification
+
+    middle = vertices.mean(axis=0)  # it works in single precision about the origin
+    fewer, faces = fast_simplification.simplify(
+        (vertices - middle).astype(np.float32), faces.astype(np.int32), target_count=FINEST
     )
+    return fewer.astype(np.float64) + middle, faces.astype(np.int64)
 
 
 def _without_debris(merged: Any) -> NDArray[np.bool_]:
     """(F,) the faces of connected pieces that are no slivers; the largest piece is none."""
     import trimesh
 
-    kept = np.zeros(len(merged.faces), bool)
-    pieces = trimesh.graph.connected_components(
-        merged.face_adjacency, nodes=np.arange(len(kept)), min_len=1
+    piece = trimesh.graph.connected_component_labels(
+        merged.face_adjacency, node_count=len(merged.faces)
     )
-    largest = max(map(len, pieces), default=0)
+    size = np.bincount(piece, minlength=1)
+    largest = int(size.max())
     if largest < 2:
         raise InputError(
-            f"the mesh is made of {len(kept)} loose triangles: nothing of it is a surface"
+            f"the mesh is made of {len(piece)} loose triangles: nothing of it is a surface"
         )
-    least = min(SLIVER + 1, largest)
-    kept[np.concatenate([piece for piece in pieces if len(piece) >= least])] = True
+    kept: NDArray[np.bool_] = size[piece] >= min(SLIVER + 1, largest)
     return kept
 
 

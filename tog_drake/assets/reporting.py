@@ -15,6 +15,21 @@ def line_of(report: Mapping[str, Any]) -> str:
         return UNREADABLE
 
 
+def details_of(report: Mapping[str, Any]) -> str:
+    """Returns what else an import found out, on one line: what it is made of, and how it lies."""
+    try:
+        settled = report["settled"]
+        closed, textured = ("" if report[key] else "not " for key in ("watertight", "textured"))
+        return (
+            f"{1e6 * report['volume']:.1f} cm³, {closed}closed, {textured}textured, "
+            f"{report['pieces']} convex pieces; on the table: "
+            f"penetration {1000 * settled['penetration']:.2f} mm, drift "
+            f"{1000 * settled['drift']:.3f} mm, speed {1000 * settled['speed']:.3f} mm/s"
+        )
+    except (KeyError, TypeError, ValueError):
+        return UNREADABLE
+
+
 def rows_of(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Returns an import report as rows for a person: what, and how much."""
     try:

@@ -10,7 +10,7 @@ from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from tog_drake.assets.contact import prepare_contacts
+from tog_drake.assets.ground import finalize
 from tog_drake.resources import make_package_map
 from tog_drake.values import Array
 
@@ -60,8 +60,7 @@ def settle(model: Path, vertices: Array, rotation: Array | None = None) -> Settl
     parser.package_map().AddMap(make_package_map())
     parser.AddModelsFromUrl("package://tog_drake/scenes/table.dmd.yaml")
     (instance,) = parser.AddModels(str(model))
-    plant.Finalize()
-    prepare_contacts(plant, scene_graph)
+    finalize(plant, scene_graph)
     body = plant.GetBodyByName("base", instance)
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())

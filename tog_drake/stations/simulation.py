@@ -27,7 +27,7 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.sensors import CameraConfig, RgbdSensor
 
-from tog_drake.assets.contact import prepare_contacts
+from tog_drake.assets.ground import finalize
 from tog_drake.cameras import noise_of
 from tog_drake.errors import InputError
 from tog_drake.panda import FINGER_BODIES, FINGER_JOINT_NAMES, JOINT_NAMES
@@ -76,8 +76,7 @@ class SimulationStation(Diagram):
         builder = DiagramBuilder()
         self.plant, self.scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         _add_models(self.plant, scenario)
-        self.plant.Finalize()
-        prepare_contacts(self.plant, self.scene_graph)
+        finalize(self.plant, self.scene_graph)
         if scenario.object_friction is not None:
             _set_friction(self.plant, self.scene_graph, scenario.object_friction)
         _connect_arm(builder, self.plant)
