@@ -35,7 +35,7 @@ from tog_drake.proposers.profile import SLAB
 from tog_drake.values import Array, Grasps
 
 MAX_GRASPS = 2000
-FARTHEST = 10.0  # [m] from the frame's origin; what is farther was not given in metres
+FARTHEST = 100.0  # [m] from the frame's origin; what is farther was not given in metres
 ORTHONORMAL = 1e-3  # how far R Rᵀ may be from the identity
 _EXACT = 1e-6  # a rotation that is farther off, more than by float32, becomes the nearest true one
 _ROUNDING = 1e-5  # by which a score or a width may be beyond its range

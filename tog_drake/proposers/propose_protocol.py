@@ -47,7 +47,13 @@ from typing import Any
 import numpy as np
 from pydrake.perception import BaseField, Fields, PointCloud
 
-from tog_drake.proposers.grasp_document import MAX_GRASPS, BadDocument, Document, read_document
+from tog_drake.proposers.grasp_document import (
+    MAX_GRASPS,
+    BadDocument,
+    Document,
+    checked_grasps,
+    read_document,
+)
 from tog_drake.values import Array, Grasps, Intrinsics, View, Workspace
 
 SCHEMA = "tog_drake/propose/1"
@@ -129,10 +135,10 @@ def _read_view(body: Mapping[str, Any]) -> View:
     if body.get("depth") is not None:
         depth = _read_array(body, "depth", "float32", (height, width), MAX_PIXELS)
     X_WC = _read_numbers(body, "X_WC", (4, 4))
-    R = X_WC[:3, :3]
-    rigid = np.abs(R @ R.T - np.eye(3)).max() < 1e-3 and np.linalg.det(R) > 0
-    if not rigid or X_WC[3].tolist() != [0, 0, 0, 1]:
-        raise BadRequest("X_WC is no rigid transform")
+    try:
+        checked_grasps(X_WC[None], np.zeros(1), None, None)
+    except BadDocument as error:
+        raise BadRequest(f"X_WC: {error}") from error
     return View(rgb, depth, Intrinsics(width, height, *focal), X_WC)
 
 
