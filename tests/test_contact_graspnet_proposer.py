@@ -16,7 +16,7 @@ from tabletop import HAMMER_SIZED, TABLE, look
 import tog_drake.proposers.contact_graspnet.prediction as prediction
 import tog_drake.proposers.contact_graspnet.proposer as proposer
 from tog_drake.cloud import CloudConfig, scene_cloud
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, NoGrasp
 from tog_drake.grasp_check import check_grasps, turned
 from tog_drake.options import ProposerOptions
 from tog_drake.proposers.contact_graspnet.decoding import hand_poses
@@ -298,20 +298,20 @@ def with_entries(rotation, translation):
 )  # fmt: skip
 def test_mistakes_in_the_frames_are_caught_by_the_check(monkeypatch, module, name, wrong):
     monkeypatch.setattr(module, name, wrong)
-    grasps = propose()
-    assert len(grasps) == 0 or share_right(grasps) == 0
+    assert share_right(propose()) == 0
 
 
 # -- what the proposer makes of it all ------------------------------------------------------------
 
 
-def test_contacts_that_are_not_on_the_things_fall_away():
-    def everywhere(points):
-        contact = points[:2000]
-        axes = torch.eye(3, dtype=torch.float64).expand(2000, 3, 3)
-        score = torch.linspace(0.99, 0.5, 2000)
-        return contact, axes[:, 0], axes[:, 2], torch.full((2000,), 0.03), score
+def everywhere(points):
+    """At each of the first 2000 points a grasp along the network's own axes."""
+    axes = torch.eye(3, dtype=torch.float64).expand(2000, 3, 3)
+    width, score = torch.full((2000,), 0.03), torch.linspace(0.99, 0.5, 2000)
+    return points[:2000], axes[:, 0], axes[:, 2], width, score
 
+
+def test_contacts_that_are_not_on_the_things_fall_away():
     grasps = propose(everywhere)
     assert 20 < len(grasps) <= 200
     x, y, z = grasps.p_WContact.T
@@ -324,7 +324,7 @@ def test_the_whole_scene_is_shown_once_and_a_local_region_for_each_thing():
     view = look([TABLE, one, other])
     cloud = scene_cloud(view, Workspace(), CloudConfig())
     for regions, times in (("scene", 1), ("local", 2)):
-        network = Scripted(anywhere)
+        network = Scripted(everywhere)
         config = ContactGraspNet(regions=regions)
         ContactGraspNetProposer(config, network, 0).propose(cloud, view)
         assert [seen.shape for seen in network.seen] == [(1, 20000, 3)] * times
@@ -339,12 +339,29 @@ def test_the_same_seed_proposes_the_same_and_another_seed_shows_other_pixels():
     assert first.X_WG.shape != other.X_WG.shape or not np.array_equal(first.X_WG, other.X_WG)
 
 
-def test_where_nothing_is_seen_nothing_is_proposed():
+def test_where_nothing_is_seen_the_network_is_not_asked():
     network = Scripted(wise)
     quiet = ContactGraspNetProposer(ContactGraspNet(), network, 0)
-    assert len(quiet.propose(PointCloud(0), VIEW)) == 0
-    assert len(quiet.propose(CLOUD, replace(VIEW, depth=np.zeros_like(VIEW.depth)))) == 0
+    with pytest.raises(NoGrasp, match="0 points of things"):
+        quiet.propose(PointCloud(0), VIEW)
+    with pytest.raises(NoGrasp, match=r"0 pixels from 0\.2 to 1\.8 m away"):
+        quiet.propose(CLOUD, replace(VIEW, depth=np.zeros_like(VIEW.depth)))
     assert network.seen == []
+
+
+def test_where_no_grasp_is_left_it_says_why():
+    def elsewhere(points):
+        contact, *others = anywhere(points)
+        return contact + 1.0, *others
+
+    def unsure(points):
+        *others, score = wise(points)
+        return *others, score / 10
+
+    with pytest.raises(NoGrasp, match=r"none of the contacts .* on a thing.*z_range"):
+        propose(elsewhere)
+    with pytest.raises(NoGrasp, match=r"none of its \d+ contacts.*best score is 0\.0.*above 0\.15"):
+        propose(unsure)
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,14 @@ def test_an_episode_that_failed_early_still_has_a_page():
         assert "No stage was timed." in report_html([EpisodeReport(record)])
 
 
+def test_of_a_network_it_says_which_weights_it_had():
+    weights = {"file": "w.pt", "released": False, "note": "not the <released> ones"}
+    record = make_record(proposer={"kind": "contact-graspnet", "weights": weights})
+    page = report_html([EpisodeReport(record)])
+    assert "contact-graspnet proposer, weights: not the &lt;released&gt; ones" in page
+    assert "weights:" not in report_html([EpisodeReport(make_record())])
+
+
 def test_the_oracle_says_what_it_reads_wherever_it_appears():
     page = report_html([EpisodeReport(make_record(selector={"kind": "oracle"}))])
     assert "oracle selector (reads the simulated part labels: an upper bound)" in page

@@ -9,7 +9,7 @@ from rich.console import Console
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm
-from tog_drake.terminal import deciding, print_answers, print_stages, say
+from tog_drake.terminal import deciding, print_answers, print_stages, print_weights, say
 
 
 def printed(record):
@@ -104,3 +104,13 @@ def test_a_line_is_one_line_and_markup_is_none():
     out = StringIO()
     say(Console(file=out, width=20, markup=False), "[red]a\nb " + "long " * 10)
     assert out.getvalue() == "[red]a\\u000ab " + "long " * 10 + "\n"
+
+
+def test_the_weights_of_a_network_are_named_and_what_they_are_worth():
+    out = StringIO()
+    weights = {"file": "\x1b[2J.pt", "note": "not the released checkpoint"}
+    print_weights(Console(file=out, width=80), weights)
+    print_weights(Console(file=out, width=80), None)
+    (line,) = out.getvalue().splitlines()
+    assert line.startswith("weights: ") and line.endswith(".pt, not the released checkpoint")
+    assert "\x1b" not in line

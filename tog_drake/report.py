@@ -82,7 +82,7 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
     """Returns what the template shows of an episode, as plain values."""
     # Whatever a failed stage left out reads as an empty mapping, so that the template need not ask.
     record = {key: _shown(value) for key, value in episode.record.items() if value is not None}
-    for group in ("choice", "counts", "held", "rejected", "seconds", "selector", "sim"):
+    for group in ("choice", "counts", "held", "proposer", "rejected", "seconds", "selector", "sim"):
         record.setdefault(group, {})
     view = episode.view
     return {

@@ -31,6 +31,7 @@ from tog_drake.terminal import (
     print_json,
     print_rates,
     print_stages,
+    print_weights,
     say,
 )
 
@@ -254,6 +255,7 @@ def evaluate_(
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)
     print_rates(console, rows)
+    print_weights(console, records[0]["proposer"].get("weights"))
     print_failures(console, failed)
     say(
         console,

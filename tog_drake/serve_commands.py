@@ -7,7 +7,7 @@ import typer
 
 from tog_drake.errors import InputError
 from tog_drake.options import ProposerOptions, spread
-from tog_drake.terminal import console_for, say
+from tog_drake.terminal import console_for, print_weights, say
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -52,8 +52,7 @@ def proposer(
             f"cannot listen on {host}:{port} ({error}); valid: --host 127.0.0.1, another --port"
         ) from error
     if isinstance(config.proposer, ContactGraspNet):
-        weights = weights_record(config.proposer)
-        say(console, f"weights: {weights['file']}, {weights['note']}")
+        print_weights(console, weights_record(config.proposer))
     say(console, f"proposer {name}: http://{host}:{server.server_port}/propose (Ctrl-C ends it)")
     if not is_loopback(f"http://{host}"):
         say(console, f"anybody who reaches {host} on the network can use it: it asks for no key")

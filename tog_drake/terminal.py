@@ -106,9 +106,7 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     for stage, count, seconds in stage_rows(record):
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
-    weights = record["proposer"].get("weights")
-    if weights is not None:
-        say(console, f"weights: {weights['file']}, {weights['note']}")
+    print_weights(console, record["proposer"].get("weights"))
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
@@ -128,6 +126,12 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     )
     for pair, newtons in (record["collisions"] or {}).items():
         say(console, f"collision: {pair}, {newtons:.1f} N")
+
+
+def print_weights(console: Console, weights: "Mapping[str, Any] | None") -> None:
+    """One line that says whose weights a network had, where one proposed."""
+    if weights is not None:
+        say(console, f"weights: {weights['file']}, {weights['note']}")
 
 
 def print_answers(console: Console, record: "EpisodeRecord") -> None:

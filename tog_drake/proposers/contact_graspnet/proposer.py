@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, NoGrasp
 from tog_drake.panda import MAX_OPENING
 from tog_drake.points import Rows
 from tog_drake.proposers.contact_graspnet import require_torch
@@ -91,20 +91,30 @@ class ContactGraspNetProposer:
         self._seed = seed
 
     def propose(self, cloud: PointCloud, view: View) -> Grasps:
-        """Returns grasps, best first, possibly none."""
+        """Returns grasps, best first.
+
+        Raises:
+            NoGrasp: there is none; says how many contacts there were, and how good the best was.
+        """
         scene = scene_points(view, self._config.z_range)
         if len(scene) == 0 or cloud.size() == 0:
-            return Grasps.empty()
+            near, far = self._config.z_range
+            raise NoGrasp(
+                f"Contact-GraspNet has nothing to look at: {cloud.size()} points of things, "
+                f"{len(scene)} pixels from {near} to {far} m away (z_range)"
+            )
         p_WThings = cloud.xyzs().T.astype(np.float64)
         p_CThings = (p_WThings - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
         rng = np.random.default_rng(self._seed)
-        kept = []
+        on_things, kept = [], []
         for region, things in self._regions(scene, p_CThings):
             shown = with_count(region, POINTS, rng)
             said = predict(self._network, shown, self._config.forward_passes, rng)
             apart = cKDTree(things).query(said.p_CContact, distance_upper_bound=ON_THING)[0]
-            said = said.take(np.flatnonzero(np.isfinite(apart)))
-            kept.append(said.take(selected(said, self._config)))
+            on_things.append(said.take(np.flatnonzero(np.isfinite(apart))))
+            kept.append(on_things[-1].take(selected(on_things[-1], self._config)))
+        if not any(len(said.score) for said in kept):
+            raise NoGrasp(_why_none(on_things, self._config))
         return _in_world(kept, view.X_WC)
 
     def _regions(self, scene: Array, things: Array) -> Iterator[tuple[Array, Array]]:
@@ -134,8 +144,6 @@ def selected(said: Predictions, config: ContactGraspNet) -> Rows:
 
 def _in_world(kept: Sequence[Predictions], X_WC: Array) -> Grasps:
     """All grasps that are kept, in the frames of this project, best first."""
-    if not kept:
-        return Grasps.empty()
     columns = zip(*([getattr(k, f.name) for f in fields(k)] for k in kept), strict=True)
     X_CN, width, score, p_CContact = map(np.concatenate, columns)
     grasps = Grasps(
@@ -145,6 +153,21 @@ def _in_world(kept: Sequence[Predictions], X_WC: Array) -> Grasps:
         p_WContact=p_CContact @ X_WC[:3, :3].T + X_WC[:3, 3],
     )
     return grasps.take(np.argsort(-score, kind="stable"))
+
+
+def _why_none(on_things: Sequence[Predictions], config: ContactGraspNet) -> str:
+    score = np.concatenate([np.zeros(0), *(said.score for said in on_things)])
+    if len(score) == 0:
+        return (
+            "none of the contacts of Contact-GraspNet is on a thing: things may lie beyond z_range "
+            f"({config.z_range[0]} to {config.z_range[1]} m away), or be too small in the picture "
+            "(`regions: local` looks at each by itself)"
+        )
+    return (
+        f"Contact-GraspNet believes in none of its {len(score)} contacts on things: the best score "
+        f"is {score.max():.3f}, and above {config.first_threshold} or {config.second_threshold} "
+        "counts (first_threshold, second_threshold)"
+    )
 
 
 def make_contact_graspnet(config: ContactGraspNet, seed: int) -> ContactGraspNetProposer:
