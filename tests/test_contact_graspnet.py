@@ -19,6 +19,7 @@ from tog_drake.proposers.contact_graspnet.sampling import (
     farthest_points,
     three_nearest,
 )
+from tog_drake.proposers.contact_graspnet.workers import Workers
 
 GRID = 2.0**-11  # [m] on it every squared distance is exact, so that there is one right answer
 ON_GRID = ("small4k", "dup4k", "tabletop20k")
@@ -156,7 +157,7 @@ def test_clouds_of_one_batch_do_not_see_each_other(network):
     together = network(clouds)
     for i in range(3):
         for name, alone in network(clouds[i : i + 1]).items():
-            torch.testing.assert_close(together[name][i], alone[0], rtol=0, atol=1e-4)
+            torch.testing.assert_close(together[name][i], alone[0], rtol=0, atol=2e-3)
 
 
 def test_the_answer_depends_neither_on_the_mode_nor_on_what_was_asked_before(network):
@@ -170,6 +171,30 @@ def test_the_answer_depends_neither_on_the_mode_nor_on_what_was_asked_before(net
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert all(torch.equal(state[name], now) for name, now in network.state_dict().items())
     assert not first["pred_scores"].requires_grad
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_on_any_number_of_threads_the_answer_is_the_same(network, threads):
+    cloud = torch.from_numpy(random_cloud(np.random.default_rng(5), 3000))[None]
+    before = torch.get_num_threads()
+    first = network(cloud)
+    assert torch.get_num_threads() == before
+    try:
+        torch.set_num_threads(threads)
+        again = network(cloud)
+        assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    for name in first:
+        torch.testing.assert_close(again[name], first[name], rtol=0, atol=2e-3)
+
+
+def test_after_an_error_torch_has_its_threads_again():
+    before = torch.get_num_threads()
+    with pytest.raises(ZeroDivisionError), Workers(before + 1) as workers:
+        assert torch.get_num_threads() == 1
+        workers.map(lambda one: 1 // one, [1, 0])
+    assert torch.get_num_threads() == before
 
 
 def test_weights_that_are_loaded_later_count(network):

@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tog_drake.proposers.contact_graspnet.workers import Workers
+
 CHUNK = 2048  # rows of a group tensor at a time on a CPU, so that they stay in its cache
 CHUNK_ELSEWHERE = 1 << 20
 
@@ -48,7 +50,7 @@ def layer(conv: Any, norm: Any, running: bool) -> Layer:
 
 def matrix(conv: Any) -> tuple[Tensor, Tensor]:
     """Weight (out, in) and bias (out,) of a 1×1 convolution."""
-    return conv.weight.flatten(1), conv.bias
+    return conv.weight.detach().flatten(1), conv.bias.detach()
 
 
 def pooled(
@@ -58,6 +60,7 @@ def pooled(
     centres: Tensor,
     neighbours: Tensor,
     count: Tensor,
+    workers: Workers,
 ) -> Tensor:
     """The layers on every neighbour of every centre, and of each channel the largest.
 
@@ -83,23 +86,28 @@ def pooled(
         rows = CHUNK if count.device.type == "cpu" else CHUNK_ELSEWHERE
         chunks = list(_chunks(count[order].tolist(), rows))
     most = max((end - start) * width for start, end, width in chunks)
-    buffers = [features.new_empty(most, len(each.bias)) for each in layers]
 
     neighbours = neighbours[order]
     at_point = torch.addmm(first.bias, torch.cat([features, xyz], dim=1), first.weight.t())
     at_centre = centres[order] @ first.weight[:, -3:].t()
-    largest = features.new_empty(len(order), len(layers[-1].bias))
-    for start, end, width in chunks:
-        x, *out, y = (buffer[: (end - start) * width] for buffer in buffers)
-        torch.index_select(at_point, 0, neighbours[start:end, :width].flatten(), out=x)
-        x.view(end - start, width, -1).sub_(at_centre[start:end, None])
-        x = first.activate(x)
-        for each, into in zip(middle, out, strict=True):
-            x = each(x, into)
-        torch.mm(x, last.weight.t(), out=y)
-        if whole:
-            y = last.activate(y.add_(last.bias))
-        torch.amax(y.view(end - start, width, -1), dim=1, out=largest[start:end])
+    largest = features.new_empty(len(order), len(last.bias))
+
+    def work(chunks: list[tuple[int, int, int]]) -> None:
+        """Fills in the largest of these stretches of centres, in memory that is used again."""
+        buffers = [features.new_empty(most, len(each.bias)) for each in layers]
+        for start, end, width in chunks:
+            x, *out, y = (buffer[: (end - start) * width] for buffer in buffers)
+            torch.index_select(at_point, 0, neighbours[start:end, :width].flatten(), out=x)
+            x.view(end - start, width, -1).sub_(at_centre[start:end, None])
+            x = first.activate(x)
+            for each, into in zip(middle, out, strict=True):
+                x = each(x, into)
+            torch.mm(x, last.weight.t(), out=y)
+            if whole:
+                y = last.activate(y.add_(last.bias))
+            torch.amax(y.view(end - start, width, -1), dim=1, out=largest[start:end])
+
+    workers.map(work, [chunks[i :: workers.count] for i in range(workers.count)])
     if not whole:  # neither bias nor ReLU changes which neighbour is the largest
         largest = last.activate(largest.add_(last.bias))
     return torch.empty_like(largest).index_copy_(0, order, largest)

@@ -9,8 +9,8 @@ unchanged.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -22,11 +22,11 @@ from torch import Tensor, nn
 from tog_drake.proposers.contact_graspnet.decoding import hand_poses, widths
 from tog_drake.proposers.contact_graspnet.layers import Layer, layer, matrix, pooled
 from tog_drake.proposers.contact_graspnet.sampling import (
-    Each,
     ball_query,
     farthest_points,
     three_nearest,
 )
+from tog_drake.proposers.contact_graspnet.workers import Workers
 
 BatchNorm = Literal["running", "batch"]
 
@@ -108,45 +108,49 @@ class ContactGraspNet(nn.Module):
             ValueError: points that are not (B, N, 3), float32 and finite.
         """
         _check(points)
+        points = points.detach().to(self._device())
         running = self.batch_norm == "running"
-        contact, x = self._backbone(points.to(self._device()), running)
+        alone = points.is_cuda or not running  # statistics are those of all rows together
+        with Workers(1 if alone else torch.get_num_threads()) as workers:
+            contact, features = self._backbone(points, running, workers)
 
-        def head(layers: nn.Sequential) -> Tensor:
-            """What a head says (B, 2048, channels); dropout is left out."""
-            weight, bias = matrix(layers[-1])
-            y = torch.addmm(bias, layer(layers[0], layers[1], running)(x), weight.t())
-            return y.view(len(points), -1, len(bias))
+            def head(layers: nn.Sequential) -> Tensor:
+                """What a head says (B, 2048, channels); dropout is left out."""
+                hidden = layer(layers[0], layers[1], running)
+                weight, bias = matrix(layers[-1])
+                y = workers.by_rows(lambda x: torch.addmm(bias, hidden(x), weight.t()), features)
+                return y.view(len(points), -1, len(bias))
 
-        logits = head(self.grasp_offset_head)
+            logits, score = head(self.grasp_offset_head), head(self.binary_seg_head)
+            closing, approach = head(self.grasp_dir_head), head(self.grasp_approach_head)
         width = widths(logits)
-        closing, approach = head(self.grasp_dir_head), head(self.grasp_approach_head)
         return {
             "pred_grasps_cam": hand_poses(contact, closing, approach, width),
-            "pred_scores": torch.sigmoid(head(self.binary_seg_head)),
+            "pred_scores": torch.sigmoid(score),
             "pred_points": contact,
             "offset_pred": width[:, None],
             "grasp_offset_head": logits.transpose(1, 2),
         }
 
-    def _backbone(self, points: Tensor, running: bool) -> tuple[Tensor, Tensor]:
+    def _backbone(self, points: Tensor, running: bool, workers: Workers) -> tuple[Tensor, Tensor]:
         """The contacts (B, 2048, 3) [m] and their features (B·2048, 256)."""
-        batch = len(points)
-        xyz0 = points.flatten(0, 1)
-        with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-            at1 = _level(points.detach().cpu().numpy(), 2048, LEVEL_1, pool.map)
-            at2 = _level(at1.xyz, 512, LEVEL_2, pool.map)
-            at3 = _level(at2.xyz, 128, LEVEL_3, pool.map)
-        xyz1, xyz2, xyz3 = (torch.from_numpy(at.xyz).to(points.device) for at in (at1, at2, at3))
-        sa1 = self.sa1(xyz0, xyz0, xyz1.flatten(0, 1), at1.neighbours, running)
-        sa2 = self.sa2(sa1, xyz1.flatten(0, 1), xyz2.flatten(0, 1), at2.neighbours, running)
-        sa3 = self.sa3(sa2, xyz2.flatten(0, 1), xyz3.flatten(0, 1), at3.neighbours, running)
+        batch, how = len(points), (running, workers)
+        at1 = _level(points.cpu().numpy(), 2048, LEVEL_1, workers)
+        at2 = _level(at1.xyz, 512, LEVEL_2, workers)
+        at3 = _level(at2.xyz, 128, LEVEL_3, workers)
+        contact = torch.from_numpy(at1.xyz).to(points.device)
+        xyz0, xyz1 = points.flatten(0, 1), contact.flatten(0, 1)
+        xyz2, xyz3 = (torch.from_numpy(at.xyz).to(points.device).flatten(0, 1) for at in (at2, at3))
+        sa1 = self.sa1(xyz0, xyz0, xyz1, at1.neighbours, *how)
+        sa2 = self.sa2(sa1, xyz1, xyz2, at2.neighbours, *how)
+        sa3 = self.sa3(sa2, xyz2, xyz3, at3.neighbours, *how)
         # All points of level 3 are one group; here the place comes first, then the features.
-        group = self.sa4(torch.cat([xyz3.flatten(0, 1), sa3], dim=1), running)
+        group = self.sa4(torch.cat([xyz3, sa3], dim=1), *how)
         sa4 = group.view(batch, -1, group.shape[1]).amax(dim=1)
-        fp3 = self.fp3(torch.cat([sa3, sa4.repeat_interleave(128, dim=0)], dim=1), running)
-        fp2 = self.fp2(torch.cat([sa2, _interpolated(fp3, at3.xyz, at2.xyz)], dim=1), running)
-        fp1 = self.fp1(torch.cat([sa1, _interpolated(fp2, at2.xyz, at1.xyz)], dim=1), running)
-        return xyz1, fp1
+        fp3 = self.fp3(torch.cat([sa3, sa4.repeat_interleave(128, dim=0)], dim=1), *how)
+        fp2 = self.fp2(torch.cat([sa2, _interpolated(fp3, at3.xyz, at2.xyz)], dim=1), *how)
+        fp1 = self.fp1(torch.cat([sa1, _interpolated(fp2, at2.xyz, at1.xyz)], dim=1), *how)
+        return contact, fp1
 
     def _device(self) -> torch.device:
         return self.get_parameter("sa1.conv_blocks.0.0.weight").device
@@ -168,13 +172,14 @@ class _Abstraction(nn.Module):
         centres: Tensor,
         neighbours: Sequence[tuple[Tensor, Tensor]],
         running: bool,
+        workers: Workers,
     ) -> Tensor:
         """Features (M, channels of all scales) of the centres; see ``pooled``."""
         scales = []
         for i, (rows, count) in enumerate(neighbours):
             layers = _layers(self.conv_blocks[i], self.bn_blocks[i], running)
             rows, count = rows.to(xyz.device), count.to(xyz.device)
-            scales.append(pooled(layers, features, xyz, centres, rows, count))
+            scales.append(pooled(layers, features, xyz, centres, rows, count, workers))
         return torch.cat(scales, dim=1)
 
 
@@ -186,11 +191,10 @@ class _Pointwise(nn.Module):
         self.mlp_convs = _convolutions(nn.Conv1d if flat else nn.Conv2d, widths)
         self.mlp_bns = _norms(nn.BatchNorm1d if flat else nn.BatchNorm2d, widths)
 
-    def forward(self, x: Tensor, running: bool) -> Tensor:
+    def forward(self, x: Tensor, running: bool, workers: Workers) -> Tensor:
         """From (rows, channels) to (rows, channels of the last layer)."""
-        for each in _layers(self.mlp_convs, self.mlp_bns, running):
-            x = each(x)
-        return x
+        layers = _layers(self.mlp_convs, self.mlp_bns, running)
+        return workers.by_rows(lambda rows: reduce(lambda x, each: each(x), layers, rows), x)
 
 
 def _convolutions(
@@ -228,11 +232,16 @@ class _Level:
     """For each scale (B·M, K) rows of the B·N points before and how many are not repeats (B·M,)."""
 
 
-def _level(xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], each: Each) -> _Level:
+def _level(
+    xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], workers: Workers
+) -> _Level:
     """Picks ``count`` of the points (B, N, 3) of each cloud, and their neighbours among them."""
     radii, most = [s.radius for s in scales], [s.most for s in scales]
     centres = np.stack([cloud[farthest_points(cloud, count)] for cloud in xyz])
-    found = [ball_query(cloud, c, radii, most, each) for cloud, c in zip(xyz, centres, strict=True)]
+    found = [
+        ball_query(cloud, c, radii, most, workers.map)
+        for cloud, c in zip(xyz, centres, strict=True)
+    ]
     neighbours = []
     for scale in zip(*found, strict=True):
         rows = [near.index + i * xyz.shape[1] for i, near in enumerate(scale)]

@@ -1,0 +1,49 @@
+"""Threads that share the network's work."""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from types import TracebackType
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+from typing_extensions import Self
+
+In = TypeVar("In")
+Out = TypeVar("Out")
+
+
+class Workers:
+    """A context in which ``count`` threads work on parts of the same thing, each by itself.
+
+    torch's own threads wait for each other after every operation, and the network has thousands of
+    them: beside another busy program that takes up to fifty times as long. So while more than one
+    work here, torch operates on one thread; afterwards it has as many as before.
+    """
+
+    def __init__(self, count: int):
+        self.count = count
+
+    def __enter__(self) -> Self:
+        self._before = torch.get_num_threads()
+        if self.count > 1:
+            torch.set_num_threads(1)
+        self._pool = ThreadPoolExecutor(self.count)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._pool.shutdown()
+        torch.set_num_threads(self._before)
+
+    def map(self, work: Callable[[In], Out], things: Iterable[In]) -> list[Out]:
+        """What ``work`` makes of each of the things."""
+        return list((self._pool.map if self.count > 1 else map)(work, things))
+
+    def by_rows(self, work: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
+        """What ``work`` makes of the rows of ``x``."""
+        return torch.cat(self.map(work, x.chunk(self.count)))
