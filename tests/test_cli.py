@@ -590,7 +590,8 @@ def _episode(scenario, selector, outcome, compliance=True, seed=0):
     return {
         "object": "thing", "seed": seed, "task": "use it", "message": None, "held": {},
         "closes_on": None,
-        "scenario": scenario, "selector": {"kind": selector}, "vlm": None, "outcome": outcome,
+        "scenario": scenario, "proposer": {"kind": "antipodal"}, "selector": {"kind": selector},
+        "vlm": None, "outcome": outcome,
         "grasp_success": lifted, "task_compliance": compliance,
         "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
     }  # fmt: skip
