@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from tog_drake.record import EpisodeRecord
     from tog_drake.selectors.vlm.specification import ModelConfig
 
+WIDE = 180  # characters of a line in a file or a pipe
 LONGEST = 100  # characters of what a model says that are shown on a line
 
 
@@ -34,9 +36,13 @@ def keep_drake_quiet() -> None:
 def console_for(as_json: bool) -> Console:
     """Where people read: stdout, or stderr when stdout is for one JSON object.
 
-    A task or a file name is printed as it is, whatever brackets or colons are in it.
+    A task or a file name is printed as it is, whatever brackets or colons are in it. In a file or a
+    pipe a table is as wide as it needs, not cut to the 80 columns that no terminal has there.
     """
-    return Console(stderr=as_json, markup=False, highlight=False, emoji=False)
+    console = Console(stderr=as_json, markup=False, highlight=False, emoji=False)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = WIDE
+    return console
 
 
 def say(console: Console, text: str) -> None:
