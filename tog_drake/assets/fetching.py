@@ -8,15 +8,20 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
-from tog_drake.assets.archive import extract
-from tog_drake.assets.download import Missing, discard, download, recorded_sha256
+from tog_drake.assets.archive import GZIP, ZIP, extract
 from tog_drake.assets.importing import LICENCE, ImportOptions, import_mesh
 from tog_drake.assets.library import asset_names, library_dir
 from tog_drake.assets.sources import Remote, read_spec
-from tog_drake.assets.stream import Unreachable
+from tog_drake.download import Missing, Wanted, discard, download, recorded_sha256
 from tog_drake.errors import InputError
+from tog_drake.http_stream import Unreachable
 
 Progress = Callable[[str, int, int | None], None]  # object, bytes so far, of all if that is known
+ARCHIVE = Wanted("an archive", (GZIP, ZIP), 300_000_000)  # those of YCB and GSO have 3 to 30 MB
+OFFLINE = (
+    "Objects that are imported already still work, and archives that are downloaded already are "
+    "imported without a network; scans that are on this machine come in by `tog assets add-dir DIR`"
+)
 
 
 @dataclass(frozen=True)
@@ -84,9 +89,10 @@ class _Run:
         try:
             archive = downloads_dir() / remote.archive
             report = self._import(remote, archive, self._download(remote, archive))
+        except Unreachable as error:
+            self.gone[remote.source.title] = error.host
+            return Fetched(remote.spec, remote.asset, "failed", f"{error}. {OFFLINE}")
         except InputError as error:
-            if isinstance(error, Unreachable):
-                self.gone[remote.source.title] = error.host
             return Fetched(remote.spec, remote.asset, "failed", str(error))
         return Fetched(remote.spec, remote.asset, "imported", report=report)
 
@@ -101,7 +107,7 @@ class _Run:
                 self.progress(remote.spec, done, total)
 
         try:
-            return download(url, archive, force=self.force, progress=progress)
+            return download(url, archive, ARCHIVE, force=self.force, progress=progress)
         except Missing as error:
             raise InputError(f"{error}. Names: {remote.source.catalogue}") from error
 

@@ -5,14 +5,13 @@ taken. Google Scanned Objects lie on Gazebo Fuel as one .zip per object. Neither
 checksums. Both are CC BY 4.0: who uses them names their authors, so that is stored beside each.
 """
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
-from urllib.parse import urlsplit
 
 from tog_drake.errors import InputError
+from tog_drake.urls import official_or_mirror
 
 _CC_BY = "https://creativecommons.org/licenses/by/4.0/"
 
@@ -187,16 +186,4 @@ def _base(remote: Remote) -> str:
             f"({source.licence}) comes from {source.catalogue}. Once it is on this machine as "
             f"DIR/{remote.asset}/: tog assets add-dir DIR"
         )
-    given = os.environ.get(source.variable)
-    if not given:
-        return source.base
-    try:
-        parts = urlsplit(given)
-        sound = parts.scheme in ("http", "https") and parts.hostname and not parts.query
-    except ValueError:
-        sound = False
-    if not sound:
-        raise InputError(
-            f"{source.variable} {given!r:.120} is no URL of a folder; valid: {source.base}"
-        )
-    return given.rstrip("/")
+    return official_or_mirror(source.base, source.variable)

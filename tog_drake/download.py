@@ -13,19 +13,18 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tog_drake.assets.archive import GZIP, ZIP
-from tog_drake.assets.stream import Again, ask
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
+from tog_drake.http_stream import Again, ask
 from tog_drake.visible_text import quoted
 
 if TYPE_CHECKING:
     from requests import Response
 
-MAX_BYTES = 300_000_000  # of a file; the archives of YCB and GSO have 3 to 30 MB
 ATTEMPTS = 5
 FIRST_DELAY = 0.5  # [s] doubled each time
 LONGEST_WAIT = 60.0  # [s] that a server may ask for
@@ -38,21 +37,31 @@ class Missing(InputError):
     """The server has no such file."""
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What kind of file is asked for: whatever else comes is not kept."""
+
+    what: str  # such as "an archive"
+    starts: tuple[bytes, ...]  # it begins with one of these
+    limit: int  # greatest size [bytes]
+    check: Callable[[Path], None] = lambda part: None  # raises InputError unless it is the one
+
+
 def download(
     url: str,
     file: Path,
+    wanted: Wanted,
     *,
     force: bool = False,
-    limit: int = MAX_BYTES,
     progress: Progress | None = None,
 ) -> str:
-    """Brings the archive at ``url`` to ``file``, unless it is there; returns its SHA-256.
+    """Brings the file at ``url`` to ``file``, unless it is there; returns its SHA-256.
 
     Args:
-        url: of a .tgz or .zip. Redirects are followed to https alone, or on this machine.
+        url: redirects are followed to https alone, or on this machine.
         file: appears complete or not at all, as does what replaces it.
+        wanted: what to take it for.
         force: downloads also what is there already.
-        limit: the greatest size [bytes].
         progress: is told of every piece.
 
     Raises:
@@ -68,8 +77,8 @@ def download(
         if recorded is not None:
             return _verified(file, recorded)
         part = _beside(file, ".part")
-        _fill(part, url, limit, progress)
-        _check_kind(part, url)
+        _fill(part, url, wanted, progress)
+        _check_kind(part, url, wanted)
         return _keep(part, file)
 
 
@@ -131,16 +140,20 @@ def _keep(part: Path, file: Path) -> str:
     return digest
 
 
-def _check_kind(part: Path, url: str) -> None:
-    with part.open("rb") as content:
-        start = content.read(1000)
-    if not start.startswith((GZIP, ZIP)):
+def _check_kind(part: Path, url: str, wanted: Wanted) -> None:
+    try:
+        with part.open("rb") as content:
+            start = content.read(1000)
+        if not start.startswith(wanted.starts):
+            said = quoted(start.decode("utf-8", "replace"))
+            raise InputError(
+                f"{url} answers with something else than {wanted.what}: {said}. Does this network "
+                "want a login first?"
+            )
+        wanted.check(part)
+    except InputError:
         _forget(part)
-        said = quoted(start.decode("utf-8", "replace"))
-        raise InputError(
-            f"{url} answers with something else than an archive: {said}. Does this network want a "
-            "login first?"
-        )
+        raise
 
 
 def _forget(part: Path) -> None:
@@ -148,11 +161,11 @@ def _forget(part: Path) -> None:
     _beside(part, ".json").unlink(missing_ok=True)
 
 
-def _fill(part: Path, url: str, limit: int, progress: Progress | None) -> None:
+def _fill(part: Path, url: str, wanted: Wanted, progress: Progress | None) -> None:
     """Downloads to ``part``, trying again where that may help."""
     for attempt in range(ATTEMPTS):
         try:
-            _attempt(part, url, limit, progress)
+            _attempt(part, url, wanted, progress)
             return
         except Again as again:
             failure, asked = again.failure, again.delay
@@ -163,7 +176,7 @@ def _fill(part: Path, url: str, limit: int, progress: Progress | None) -> None:
     raise failure
 
 
-def _attempt(part: Path, url: str, limit: int, progress: Progress | None) -> None:
+def _attempt(part: Path, url: str, wanted: Wanted, progress: Progress | None) -> None:
     start, validator = _begun(part, url)
     headers = {"Accept-Encoding": "identity"}
     if start:
@@ -172,14 +185,14 @@ def _attempt(part: Path, url: str, limit: int, progress: Progress | None) -> Non
     with closing(arriving):
         _check_status(response, url, part)
         done, total = _extent(response, url, part, start)
-        _check_size(total or 0, url, part, limit)
+        _check_size(total or 0, url, part, wanted)
         if not done:
             _begin(part, url, response)
         with part.open("r+b" if done else "wb") as file:
             file.seek(done)
             for chunk in arriving:
                 done += len(chunk)
-                _check_size(done, url, part, limit)
+                _check_size(done, url, part, wanted)
                 file.write(chunk)
                 if progress is not None:
                     progress(done, total)
@@ -221,7 +234,7 @@ def _check_status(response: "Response", url: str, part: Path) -> None:
     if code in RETRYABLE:
         raise Again(InputError(message), _asked_delay(response))
     if code in (403, 404, 410):  # 403 is what S3 says of what it does not have
-        raise Missing(f"{message}: it has no such object")
+        raise Missing(f"{message}: it has no such file")
     raise InputError(message)
 
 
@@ -245,7 +258,7 @@ def _extent(response: "Response", url: str, part: Path, start: int) -> tuple[int
     return start, total
 
 
-def _check_size(size: int, url: str, part: Path, limit: int) -> None:
-    if size > limit:
+def _check_size(size: int, url: str, part: Path, wanted: Wanted) -> None:
+    if size > wanted.limit:
         _forget(part)
-        raise InputError(f"{url} has more than {limit} bytes: that is no scanned object")
+        raise InputError(f"{url} has more than {wanted.limit} bytes: too many for {wanted.what}")

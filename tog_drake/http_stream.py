@@ -25,11 +25,7 @@ class Unreachable(InputError):
     """There is no connection to ``host``: nothing else need be tried there."""
 
     def __init__(self, url: str, why: str):
-        super().__init__(
-            f"there is no connection for {url} ({why}). Objects that are imported already still "
-            "work, and archives that are downloaded already are imported without a network; scans "
-            "that are on this machine come in by `tog assets add-dir DIR`"
-        )
+        super().__init__(f"there is no connection for {url} ({why})")
         self.host = host_of(url)
 
 
