@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tog_drake.proposers.contact_graspnet.workers import Workers
 
-CHUNK = 2048  # rows of a group tensor at a time on a CPU, so that they stay in its cache
+CHUNK = 1536  # rows of a group tensor at a time on a CPU, so that they stay in the cache
 CHUNK_ELSEWHERE = 1 << 20
 
 
