@@ -48,6 +48,15 @@ def test_each_pad_has_half_a_share(bottle):
     assert shares == {("bottle", "cap"): pytest.approx(0.5), ("bottle", "body"): pytest.approx(0.5)}
 
 
+def test_larger_pads_press_what_is_beside_them(bottle):
+    (shares,) = bottle.pressed(np.eye(4), _grasps(-0.012), beside=0.0)
+    assert shares == {("bottle", "body"): pytest.approx(1.0)}
+    turned = np.diag([-1.0, 1.0, -1.0, 1.0])  # the thick end is now at x > 0
+    assert bottle.pressed(turned, _grasps(-0.012)) == [{("bottle", "cap"): pytest.approx(1.0)}]
+    (shares,) = bottle.pressed(turned, _grasps(-0.012), beside=0.006)
+    assert shares == {("bottle", "body"): pytest.approx(1.0)}
+
+
 def test_pads_that_meet_nothing_press_nothing(bottle):
     assert bottle.pressed(np.eye(4), _grasps(0.2)) == [{}]
 

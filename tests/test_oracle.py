@@ -24,11 +24,17 @@ def _grasps(scores, type_=Grasps, **more):
     return type_(X_WG, np.full(n, 0.03), np.array(scores, dtype=float), np.ones((n, 3)), **more)
 
 
-def _choose(regions, task="use the hammer", *, proposed=(), seen=()):
+def _choose(regions, task="use the hammer", *, around=None, proposed=(), seen=()):
     """A choice among grasps with these closing regions, of which one point is ``seen``."""
+
+    def closing_region(grasps, query, beside=0.0):
+        if len(grasps) != len(regions):
+            return proposed
+        return regions if around is None or beside == 0 else around
+
     labels = SimpleNamespace(
         objects={"hammer": PARTS},
-        closing_region=lambda grasps, query: regions if len(grasps) == len(regions) else proposed,
+        closing_region=closing_region,
         nearest_part=lambda p_W, query, reach: ([HANDLE, CUP], np.array(seen, dtype=int)),
     )
     n = len(regions)
@@ -51,6 +57,13 @@ def test_of_the_grasps_on_an_allowed_part_alone_the_best_score_wins():
     choice = _choose([{HEAD: 1.0}, {HANDLE: 0.9, HEAD: 0.1}, {HANDLE: 1.0}, {HANDLE: 1.0}])
     assert (choice.index, choice.part) == (2, "handle")
     assert choice.alternatives == (3, 1)
+
+
+def test_one_that_may_slide_onto_a_forbidden_part_is_taken_where_all_may():
+    regions = [{HANDLE: 1.0}, {HANDLE: 1.0}, {HANDLE: 1.0}]
+    at_the_end = {HANDLE: 0.7, HEAD: 0.3}
+    assert _choose(regions, around=[at_the_end, {HANDLE: 1.0}, at_the_end]).index == 1
+    assert _choose(regions, around=[at_the_end] * 3).index == 0
 
 
 def test_where_every_grasp_is_mixed_the_least_mixed_is_taken_down_to_four_fifths():

@@ -91,12 +91,19 @@ class PartLabels:
         planes = {g: _planes(inspector, g) for g in part_of}
         return PartLabels(part_of, objects, planes, surfaces)
 
-    def closing_region(self, grasps: Grasps, query_object: QueryObject) -> list[Shares]:
+    def closing_region(
+        self, grasps: Grasps, query_object: QueryObject, *, beside: float = 0.0
+    ) -> list[Shares]:
         """Returns the share of each (model instance, part) in what each grasp closes on.
 
         The box between the pads, a little wider than they are, is sampled; each sample counts for
         the part nearest to it, if one is near. The samples nearest to a scanned object are shared
         out by what the pads would press of it: it has a surface, but no inside.
+
+        Args:
+            grasps: N of them.
+            query_object: where the objects are.
+            beside: [m] by which the pads on scanned objects are taken to be larger.
         """
         if len(grasps) == 0:
             return []
@@ -109,7 +116,7 @@ class PartLabels:
             regions.append({parts[i]: float(s) for i, s in zip(found, shares, strict=True)})
         for geometry, surface in self.surfaces.items():
             X_WO = query_object.GetPoseInWorld(geometry).GetAsMatrix4()
-            for region, pressed in zip(regions, surface.pressed(X_WO, grasps), strict=True):
+            for region, pressed in zip(regions, surface.pressed(X_WO, grasps, beside), strict=True):
                 if pressed:
                     of_it = [region.pop(part, 0.0) for part in dict.fromkeys(surface.parts)]
                     region |= {part: sum(of_it) * share for part, share in pressed.items()}

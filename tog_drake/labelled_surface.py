@@ -38,7 +38,7 @@ class LabelledSurface:
             shares[self.parts[i]] = shares.get(self.parts[i], 0.0) + float(w)
         return shares
 
-    def pressed(self, X_WO: Array, grasps: Grasps) -> list[Shares]:
+    def pressed(self, X_WO: Array, grasps: Grasps, beside: float = 0.0) -> list[Shares]:
         """Returns the parts that each grasp's pads would press, half a share for each pad.
 
         The pads close from the opening at which the hand arrives; what they press are the points
@@ -47,19 +47,22 @@ class LabelledSurface:
         Args:
             X_WO: pose of the object, (4, 4).
             grasps: N of them.
+            beside: [m] by which the pads are taken to be larger on every side.
         """
         half = arrival_opening(grasps.width) / 2
         X_GO = np.linalg.inv(grasps.X_WG) @ X_WO
         origin = np.linalg.inv(X_GO)[:, :3, 3]
-        near = self.tree.query_ball_point(origin, np.hypot(half, PAD_WIDTH), return_sorted=True)
+        near = self.tree.query_ball_point(
+            origin, np.hypot(half, PAD_WIDTH + 2 * beside), return_sorted=True
+        )
         return [
-            self._pressed(np.array(rows, np.int64), X, limit)
+            self._pressed(np.array(rows, np.int64), X, limit, PAD_WIDTH / 2 + beside)
             for rows, X, limit in zip(near, X_GO, half, strict=True)
         ]
 
-    def _pressed(self, row: NDArray[np.int64], X_GO: Array, half: float) -> Shares:
+    def _pressed(self, row: NDArray[np.int64], X_GO: Array, half: float, pad: float) -> Shares:
         x, y, z = X_GO[:3, :3] @ self.tree.data[row].T + X_GO[:3, 3:]
-        between = (np.abs(x) < PAD_WIDTH / 2) & (np.abs(z) < PAD_WIDTH / 2) & (np.abs(y) < half)
+        between = (np.abs(x) < pad) & (np.abs(z) < pad) & (np.abs(y) < half)
         if not between.any():
             return {}
         shares: Shares = {}

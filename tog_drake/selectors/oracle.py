@@ -22,6 +22,7 @@ from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, 
 ORACLE_NOTE = "reads simulated part labels: an upper bound, not a method"
 _SURE = 0.99  # share of the closing region on allowed parts from which the score decides ...
 _ENOUGH = 0.8  # ... and the least share that is taken; where none is sure, the greatest
+_SLIDE = 0.006  # [m] that pads may slide on a scanned object
 _MOSTLY = 0.5  # share of the closing region from which a grasp is one of the target
 _SEEN = 0.004  # [m] a point of the cloud belongs to the object that is not farther than this
 
@@ -122,8 +123,14 @@ def choose_by_labels(
             f"oracle: none of {len(grasps)} feasible grasps closes on "
             f"{' or '.join(sorted(allowed))} of {target}"
         )
-    # One that is sure beats one that is not; of the sure ones the best score does.
+    # One that is sure beats one that is not; of the sure ones the best score does. Surest is one
+    # whose surroundings are allowed, too: on a slope the pads slide before they hold.
+    around = _share(
+        labels.closing_region(grasps, query_object, beside=_SLIDE),
+        {(target, part) for part in allowed},
+    )
     worth = np.where(share > _SURE, 1.0 + grasps.score, share)
+    worth += around > _SURE
     worth = np.where(fits, worth, -np.inf)
     index = int(np.argmax(worth))
     reason = (
