@@ -58,7 +58,7 @@ LEVEL_3 = (
 
 
 class ContactGraspNet(nn.Module):
-    """The network, and the decoding of what it says; for inference, without gradients.
+    """The network, and the decoding of what it says; for inference, without gradients (no_grad).
 
     The result is the same every time: farthest points start from row 0, dropout is off and nothing
     is updated, whether or not the module is in training mode. Which points are looked at is worked
@@ -67,7 +67,7 @@ class ContactGraspNet(nn.Module):
     Args:
         batch_norm: ``running``: normalise by the statistics of the training, stored with the
             weights. ``batch``: by those of the clouds given, together, as the published code does
-            in effect; slower, and needs 2 GB.
+            in effect; slower, and needs 0.7 GB instead of 0.3.
 
     Raises:
         ValueError: another ``batch_norm``.
