@@ -3,6 +3,7 @@
 import io
 import pickle
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,8 @@ from synthetic_weights import synthetic_state, write_checkpoint
 
 from tog_drake.errors import InputError
 from tog_drake.proposers.contact_graspnet import checkpoint as module
-from tog_drake.proposers.contact_graspnet.checkpoint import (
-    git_sha1,
-    load_network,
-    read_checkpoint,
-)
+from tog_drake.proposers.contact_graspnet.checkpoint import load_network, read_checkpoint
+from tog_drake.weights import CONTACT_GRASPNET
 
 KEY = "sa1.conv_blocks.0.0.weight"
 
@@ -81,12 +79,9 @@ def test_a_file_is_loaded_once_unless_it_changes(good):
 def test_only_the_released_file_counts_as_released(good, monkeypatch):
     checkpoint = read_checkpoint(good)
     assert not checkpoint.released
-    monkeypatch.setattr(module, "RELEASED", checkpoint.git_sha1)
+    other = replace(CONTACT_GRASPNET, git_sha1=checkpoint.git_sha1)
+    monkeypatch.setattr(module, "CONTACT_GRASPNET", other)
     assert read_checkpoint(good).released
-
-
-def test_a_file_is_named_as_git_names_it():
-    assert git_sha1(b"hello\n") == "ce013625030ba8dba906f756967f9e9ca394464a"
 
 
 # -- what is refused -----------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """The network as a proposer: what it is shown, what is kept of its answers, and in which frame."""
 
+import hashlib
 import json
 import sys
 from dataclasses import replace
@@ -394,7 +395,9 @@ def test_a_run_with_other_weights_ends_in_an_outcome_and_says_whose_they_are_not
     record = json.loads(done.out)
     assert record["outcome"] in OUTCOMES
     assert record["proposer"]["kind"] == "contact-graspnet"
-    assert record["proposer"]["weights"]["released"] is False
+    weights = record["proposer"]["weights"]
+    assert weights["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert weights["released"] is False
     assert f"weights: {file}, not the released checkpoint of Contact-GraspNet" in done.err
     assert (tmp_path / "out" / "report.html").is_file()
 
@@ -405,6 +408,7 @@ def test_without_weights_it_says_how_to_get_them(tmp_path, monkeypatch):
         tog(*RUN, "--proposer", "contact-graspnet", "--out", tmp_path),
         str(tmp_path / "contact_graspnet" / "model.pt"),
         "`tog weights fetch contact-graspnet --accept-licence`",
+        "`tog weights add FILE`",
         "--checkpoint FILE",
     )
 

@@ -36,6 +36,7 @@ def test_everything_that_the_tests_need_is_found_with_its_version(checks):
 
 
 def test_optional_extras_are_listed_with_the_command_that_installs_them(checks, monkeypatch):
+    assert not checks["weights of contact-graspnet"].required
     extras = [name for name in checks if "extra" in name]
     assert [name.split()[1] for name in extras] == ["[cgn]", "[meshcat]"]
     monkeypatch.setattr(importlib, "import_module", _not_there)

@@ -49,6 +49,7 @@ except SystemExit as ended:
         _help("vlm", "check"),
         _help("assets", "import"),
         _help("serve", "proposer"),
+        _help("weights", "check"),
     ],
     ids=[
         "import",
@@ -59,6 +60,7 @@ except SystemExit as ended:
         "vlm check --help",
         "assets import --help",
         "serve proposer --help",
+        "weights check --help",
     ],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):

@@ -16,6 +16,7 @@ from tog_drake.terminal import keep_drake_quiet
 from tog_drake.visible_text import visible
 from tog_drake.vlm_commands import app as vlm_app
 from tog_drake.vlm_commands import prompts
+from tog_drake.weights_commands import app as weights_app
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -45,6 +46,7 @@ for _name, _command, _example in (
     app.command(_name, epilog=f"Example: {_example}")(_command)
 app.add_typer(vlm_app, name="vlm")
 app.add_typer(assets_app, name="assets")
+app.add_typer(weights_app, name="weights")
 app.add_typer(serve_app, name="serve")
 
 

@@ -11,6 +11,8 @@ from functools import partial
 from importlib import metadata
 from pathlib import Path
 
+from tog_drake.weights import MODELS, stored
+
 _LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
 # extra -> (module, what it is for)
 _EXTRAS = {"cgn": ("torch", "Contact-GraspNet"), "meshcat": ("meshcat", "meshcat-python")}
@@ -57,6 +59,8 @@ def run_checks() -> list[Check]:
                 required=False,
             )
         )
+    for name in MODELS:
+        checks.append(_check(f"weights of {name}", partial(_weights, name), required=False))
     return checks
 
 
@@ -135,6 +139,13 @@ def _extra(module: str, extra: str) -> str:
     except ImportError as error:
         raise _ProblemError(f"install it with: pip install 'tog_drake[{extra}]'") from error
     return metadata.version(module)
+
+
+def _weights(name: str) -> str:
+    found = stored(MODELS[name])
+    if found is None:
+        raise _ProblemError(f"get them with: tog weights fetch {name} --accept-licence")
+    return f"{found.note}, {found.file}"
 
 
 def _key(variables: Sequence[str]) -> str:

@@ -57,7 +57,7 @@ class EpisodeRecord(TypedDict):
     grip_force: float | None  # [N]
     object_friction: float | None  # null, too: what each model says
     proposer: dict[str, Any]  # {"kind": ..., its settings; of a network its weights: file,
-    # git_sha1, whether it is the released one, and a note that says so}
+    # sha256, git_sha1, whether it is the released one, and a note that says so}
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason

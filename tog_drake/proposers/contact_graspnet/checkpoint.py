@@ -4,7 +4,6 @@ The file comes from somewhere: it is read without running what is in it, its siz
 its tensors must be exactly those of the network.
 """
 
-import hashlib
 import io
 import pickle
 import re
@@ -21,10 +20,8 @@ from torch import Tensor
 
 from tog_drake.errors import InputError
 from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
+from tog_drake.weights import CONTACT_GRASPNET, MAX_BYTES, TORCH_FILE, git_sha1, sha256
 
-RELEASED = "b52cf0c889511c17acdded2dde8062710299b73e"
-"""Git's SHA-1 of ``model.pt`` in the repository of the PyTorch port."""
-MAX_BYTES = 200_000_000  # of the file, and of what it unpacks to; the released one has about 26 MB
 OLDEST_TORCH = (2, 6)  # older ones can be made to run code by a file even with weights_only
 _NAMED = 3  # as many wrong keys are named
 
@@ -36,11 +33,12 @@ class Checkpoint:
     file: Path
     state: dict[str, Tensor]  # on the CPU
     git_sha1: str  # of the file, as git names it
+    sha256: str  # of the file
 
     @property
     def released(self) -> bool:
         """Whether the file is the one that was published for the network's PyTorch port."""
-        return self.git_sha1 == RELEASED
+        return self.git_sha1 == CONTACT_GRASPNET.git_sha1
 
 
 def load_network(file: Path, *, device: str, batch_norm: str) -> tuple[ContactGraspNet, Checkpoint]:
@@ -94,12 +92,7 @@ def read_checkpoint(file: Path) -> Checkpoint:
             "under the key 'model'"
         )
     _check(file, state)
-    return Checkpoint(file, dict(state), git_sha1(data))
-
-
-def git_sha1(data: bytes) -> str:
-    """Returns the name that git gives to a file with this content."""
-    return hashlib.sha1(b"blob %d\0" % len(data) + data).hexdigest()
+    return Checkpoint(file, dict(state), git_sha1(data), sha256(data))
 
 
 def _read(file: Path) -> bytes:
@@ -109,7 +102,7 @@ def _read(file: Path) -> bytes:
     if size > MAX_BYTES:
         raise InputError(f"the checkpoint {file} has {size} bytes; at most {MAX_BYTES} are read")
     data = file.read_bytes()
-    if data[:4] != b"PK\3\4":
+    if not data.startswith(TORCH_FILE):
         raise InputError(
             f"{file} is no checkpoint: valid is a file that torch.save wrote (torch 1.6 or newer)"
         )

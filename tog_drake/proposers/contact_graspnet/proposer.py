@@ -28,6 +28,7 @@ from tog_drake.proposers.contact_graspnet.regions import (
 from tog_drake.proposers.contact_graspnet.selection import select
 from tog_drake.proposers.grasp_document import GRIPPERS
 from tog_drake.values import Array, Grasps, View
+from tog_drake.weights import CONTACT_GRASPNET, stored_file
 
 if TYPE_CHECKING:
     from tog_drake.proposers.contact_graspnet.checkpoint import Checkpoint
@@ -189,6 +190,7 @@ def weights_record(config: ContactGraspNet) -> dict[str, Any]:
     checkpoint = _loaded(config)[1]
     return {
         "file": str(checkpoint.file),
+        "sha256": checkpoint.sha256,
         "git_sha1": checkpoint.git_sha1,
         "released": checkpoint.released,
         "note": "the released checkpoint" if checkpoint.released else NOT_RELEASED,
@@ -206,16 +208,7 @@ def _loaded(config: ContactGraspNet) -> tuple[Network, "Checkpoint"]:
 def _checkpoint_file(config: ContactGraspNet) -> Path:
     if config.checkpoint is not None:
         return Path(config.checkpoint).expanduser()
-    from tog_drake.weights import weights_dir
-
-    file = weights_dir() / "contact_graspnet" / "model.pt"
-    if not file.is_file():
-        raise InputError(
-            f"no weights of Contact-GraspNet are stored (there is no {file}); "
-            "`tog weights fetch contact-graspnet --accept-licence` gets them, or name a file: "
-            "--checkpoint FILE"
-        )
-    return file
+    return stored_file(CONTACT_GRASPNET)
 
 
 def _check(config: ContactGraspNet) -> None:
