@@ -14,7 +14,7 @@ HEAVY = (
 )
 WITH_TORCH = [
     f"tog_drake.proposers.contact_graspnet.{name}"
-    for name in ("network", "layers", "decoding", "workers", "checkpoint")
+    for name in ("network", "layers", "decoding", "workers", "checkpoint", "trial")
 ]  # all that needs torch when it is loaded
 
 
