@@ -384,10 +384,17 @@ def test_weights_that_look_trained_pass_and_are_not_taken_for_the_released_ones(
 
 
 def test_stored_weights_that_have_changed_do_not_pass(synthetic, folder, monkeypatch):
-    trial = Trial(2048, 300, 0.0, 0.9, 200, 0.1)
-    monkeypatch.setattr(trial_module, "try_out", lambda network: trial)
+    asked = []
+
+    def canned(network):
+        asked.append(network.batch_norm)
+        return Trial(2048, 300, 0.0, 0.9, 200, 0.1)
+
+    monkeypatch.setattr(trial_module, "try_out", canned)
     refused(tog("weights", "check"), str(folder / KEPT[0]), "tog weights fetch", "weights add")
+    refused(tog("weights", "check", "--batch-norm", "x"), "unknown --batch-norm 'x'", "batch")
     put(folder, synthetic.read_bytes(), '{"sha256": "0", "origin": "elsewhere"}')
-    done = tog("weights", "check")
+    done = tog("weights", "check", "--batch-norm", "batch")
     assert done.status == 1
+    assert asked == ["batch", "running"]  # the network itself, then the untrained one
     assert "PROBLEM: the file is no longer what was stored" in done.out

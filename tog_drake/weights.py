@@ -65,6 +65,14 @@ CONTACT_GRASPNET = Model(
 MODELS = {model.name: model for model in (CONTACT_GRASPNET,)}
 
 
+CHANGED = "no longer what was stored (its SHA-256 is another)"
+
+
+def which(released: bool) -> str:
+    """Returns how a file of weights is called by all who tell of it."""
+    return "the released checkpoint" if released else "not the released checkpoint"
+
+
 @dataclass(frozen=True)
 class Stored:
     """Weights that are kept on this machine."""
@@ -85,11 +93,7 @@ class Stored:
     @property
     def note(self) -> str:
         """What it is, in a few words."""
-        if self.released:
-            return "the released checkpoint"
-        return "not the released checkpoint" + (
-            ", and no longer what was stored (its SHA-256 is another)" if self.changed else ""
-        )
+        return which(self.released) + (f", and {CHANGED}" if self.changed else "")
 
 
 def weights_dir() -> Path:

@@ -8,7 +8,7 @@ import typer
 
 from tog_drake.options import JsonOption, valid
 from tog_drake.terminal import console_for, print_json, say
-from tog_drake.weights import CONTACT_GRASPNET, MODELS, Model, Stored
+from tog_drake.weights import CHANGED, CONTACT_GRASPNET, MODELS, Model, Stored, which
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -97,6 +97,12 @@ def check(
     checkpoint: Annotated[
         Path | None, typer.Option(help="A file of weights, instead of the stored one.")
     ] = None,
+    batch_norm: Annotated[
+        str,
+        typer.Option(
+            help="Normalise by statistics of the training: running; or of this cloud: batch."
+        ),
+    ] = "running",
     as_json: JsonOption = False,
 ) -> None:
     """Load weights and ask the network about a box and a cylinder on a table.
@@ -105,9 +111,11 @@ def check(
     stored file has changed; 2: they do not load.
     """
     from tog_drake.proposers.contact_graspnet import require_torch
+    from tog_drake.proposers.contact_graspnet.proposer import VALID
     from tog_drake.weights import stored, stored_file
 
     chosen: Model = valid(model, MODELS, "model")
+    valid(batch_norm, dict.fromkeys(VALID["batch_norm"]), "--batch-norm")
     require_torch()
     from tog_drake.proposers.contact_graspnet.checkpoint import load_network
     from tog_drake.proposers.contact_graspnet.trial import (
@@ -118,15 +126,14 @@ def check(
 
     console = console_for(as_json)
     file = stored_file(chosen) if checkpoint is None else checkpoint
-    network, loaded = load_network(file, device="cpu", batch_norm="running")
+    network, loaded = load_network(file, device="cpu", batch_norm=batch_norm)
     said = try_out(network)
     untrained = try_out(untrained_network())
     problems = signs_of_no_training(loaded.state, said)
     kept = stored(chosen) if checkpoint is None else None
     if kept is not None and kept.changed:
-        problems.append("the file is no longer what was stored (its SHA-256 is another)")
-    known = "the released checkpoint" if loaded.released else "not the released checkpoint"
-    say(console, f"weights: {file}, {known} (SHA-256 {loaded.sha256})")
+        problems.append(f"the file is {CHANGED}")
+    say(console, f"weights: {file}, {which(loaded.released)} (SHA-256 {loaded.sha256})")
     say(console, f"the network says: {said}")
     say(console, f"an untrained one: {untrained}")
     for problem in problems:
