@@ -174,7 +174,9 @@ def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held
         _episode(TRIALS[2], held=clear, closes_on={"body": 1.0}),
         _episode(TRIALS[4], held=mixed, closes_on=clear),
         _episode(TRIALS[6], "empty", closes_on=clear),
+        _episode(TRIALS[8], held={"head": 0.52, "body": 0.48}, closes_on={"body": 1.0}),  # a tie
+        _episode(TRIALS[10], held={"head": 0.6, "body": 0.4}, closes_on={"body": 1.0}),
     ]
     assert agreement(records) == {
-        "n": 3, "agree": 2, "clear": 2, "clear_agree": 1, "mixed": 1
+        "n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3
     }  # fmt: skip

@@ -2,13 +2,14 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from tog_drake.judge import COMPLIANT_SHARE
 from tog_drake.record import EpisodeRecord, selector_name
 
 # They do not read the task: one episode serves every task, and is judged for each.
 TASK_BLIND = ("top-score", "random")
+_TIE = 0.05  # by which a share may be smaller than the greatest and count as great
 
 Rows = list[dict[str, str | int | float]]
 
@@ -128,11 +129,18 @@ def failures(records: Sequence[EpisodeRecord]) -> Rows:
     ]
 
 
+def _greatest(shares: Mapping[str, float]) -> set[str]:
+    """The parts with the greatest share, or as good as it."""
+    most = max(shares.values())
+    return {part for part, share in shares.items() if share > most - _TIE}
+
+
 def agreement(records: Sequence[EpisodeRecord]) -> dict[str, int]:
     """Returns how the part between the fingers agrees with the one that the pads then press.
 
     Of the episodes that were lifted (``n``; one whatever number of tasks it is judged for):
-    ``agree`` have the same greatest part in both; of those where both are four fifths one part
+    ``agree`` have the same greatest part in both, or one of equally great ones (with a finger on
+    each of two parts both have half, give or take ``_TIE``); of those where both are four fifths one part
     (``clear``), ``clear_agree``; the others are ``mixed``.
     """
     lifted = {
@@ -143,7 +151,7 @@ def agreement(records: Sequence[EpisodeRecord]) -> dict[str, int]:
     counts = {"n": len(lifted), "agree": 0, "clear": 0, "clear_agree": 0, "mixed": 0}
     for record in lifted.values():
         held, between = record["held"], record["closes_on"] or {}
-        same = max(held, key=lambda p: held[p]) == max(between, key=lambda p: between[p])
+        same = not _greatest(held).isdisjoint(_greatest(between))
         clear = min(max(held.values()), max(between.values())) >= COMPLIANT_SHARE
         counts["agree"] += same
         counts["clear" if clear else "mixed"] += 1
