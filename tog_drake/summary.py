@@ -140,8 +140,8 @@ def agreement(records: Sequence[EpisodeRecord]) -> dict[str, int]:
 
     Of the episodes that were lifted (``n``; one whatever number of tasks it is judged for):
     ``agree`` have the same greatest part in both, or one of equally great ones (with a finger on
-    each of two parts both have half, give or take ``_TIE``); of those where both are four fifths one part
-    (``clear``), ``clear_agree``; the others are ``mixed``.
+    each of two parts both have half, give or take ``_TIE``); of those where both are four fifths
+    one part (``clear``), ``clear_agree``; the others are ``mixed``.
     """
     lifted = {
         (selector_name(r), r["scenario"], r["object"], r["seed"], str(r["held"])): r
