@@ -4,9 +4,12 @@ Features are (rows, channels), a row a point. With the running statistics of tra
 normalisation is a scale and a shift, and is folded into the convolution before it.
 """
 
-from collections.abc import Iterator, Sequence
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import reduce
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -77,40 +80,67 @@ def pooled(
     Returns:
         (M, channels of the last layer).
     """
-    first, *middle, last = layers
-    whole = first.norm is not None
-    order = torch.argsort(count, descending=True, stable=True)
-    if whole:  # repeats count in statistics, and all rows are needed for them
-        chunks = [(0, len(order), neighbours.shape[1])]
-    else:  # repeats cannot change a maximum
-        rows = CHUNK if count.device.type == "cpu" else CHUNK_ELSEWHERE
-        chunks = list(_chunks(count[order].tolist(), rows))
-    most = max((end - start) * width for start, end, width in chunks)
-
-    neighbours = neighbours[order]
+    first, *_, last = layers
     at_point = torch.addmm(first.bias, torch.cat([features, xyz], dim=1), first.weight.t())
-    at_centre = centres[order] @ first.weight[:, -3:].t()
+    if first.norm is not None:  # repeats count in statistics, and all rows are needed for them
+        x = at_point.index_select(0, neighbours.flatten())
+        x.view(*neighbours.shape, -1).sub_((centres @ first.weight[:, -3:].t())[:, None])
+        x = reduce(lambda x, each: each(x), layers[1:], first.activate(x))
+        return x.view(*neighbours.shape, -1).amax(dim=1)
+    # Repeats cannot change a maximum, and neither bias nor ReLU changes which is the largest.
+    order = torch.argsort(count, descending=True, stable=True)
+    neighbours, at_centre = neighbours[order], centres[order] @ first.weight[:, -3:].t()
+    on_cpu = count.device.type == "cpu"
+    chunks = list(_chunks(count[order].tolist(), CHUNK if on_cpu else CHUNK_ELSEWHERE))
+    weights, biases = [each.weight.t() for each in layers], [each.bias for each in layers]
     largest = features.new_empty(len(order), len(last.bias))
 
     def work(chunks: list[tuple[int, int, int]]) -> None:
-        """Fills in the largest of these stretches of centres, in memory that is used again."""
-        buffers = [features.new_empty(most, len(each.bias)) for each in layers]
-        for start, end, width in chunks:
-            x, *out, y = (buffer[: (end - start) * width] for buffer in buffers)
-            torch.index_select(at_point, 0, neighbours[start:end, :width].flatten(), out=x)
-            x.view(end - start, width, -1).sub_(at_centre[start:end, None])
-            x = first.activate(x)
-            for each, into in zip(middle, out, strict=True):
-                x = each(x, into)
-            torch.mm(x, last.weight.t(), out=y)
-            if whole:
-                y = last.activate(y.add_(last.bias))
-            torch.amax(y.view(end - start, width, -1), dim=1, out=largest[start:end])
+        (_scripted if on_cpu else _pool)(
+            at_point, at_centre, neighbours, chunks, weights, biases, largest
+        )
 
     workers.map(work, [chunks[i :: workers.count] for i in range(workers.count)])
-    if not whole:  # neither bias nor ReLU changes which neighbour is the largest
-        largest = last.activate(largest.add_(last.bias))
+    largest = last.activate(largest.add_(last.bias))
     return torch.empty_like(largest).index_copy_(0, order, largest)
+
+
+def _pool(
+    at_point: Tensor,
+    at_centre: Tensor,
+    neighbours: Tensor,
+    chunks: list[tuple[int, int, int]],
+    weights: list[Tensor],
+    biases: list[Tensor],
+    largest: Tensor,
+) -> None:
+    """Fills in the largest of these stretches of centres, in memory that is used again."""
+    most = 0
+    for start, end, width in chunks:
+        most = max(most, (end - start) * width)
+    buffers = [at_point.new_empty([most, len(bias)]) for bias in biases]
+    for start, end, width in chunks:
+        rows = (end - start) * width
+        x = buffers[0][:rows]
+        torch.index_select(at_point, 0, neighbours[start:end, :width].flatten(), out=x)
+        x.view([end - start, width, -1]).sub_(at_centre[start:end].unsqueeze(1))
+        for i in range(1, len(weights)):
+            x = torch.mm(x.relu_(), weights[i], out=buffers[i][:rows])
+            if i + 1 < len(weights):
+                x = x.add_(biases[i])
+        torch.amax(x.view([end - start, width, -1]), [1], out=largest[start:end])
+
+
+def _without_python(function: Callable[..., None]) -> Callable[..., None]:
+    """The function as TorchScript, in which threads do not wait for each other; else as it is."""
+    if sys.version_info >= (3, 14):  # there torch has none
+        return function
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return cast(Callable[..., None], torch.jit.script(function))
+
+
+_scripted = _without_python(_pool)
 
 
 def _chunks(widths: Sequence[int], rows: int) -> Iterator[tuple[int, int, int]]:
