@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from tog_drake.proposers.contact_graspnet.decoding import hand_poses, widths
 from tog_drake.proposers.contact_graspnet.layers import Layer, layer, matrix, pooled
 from tog_drake.proposers.contact_graspnet.sampling import (
+    Each,
     ball_query,
     farthest_points,
     three_nearest,
@@ -135,13 +136,18 @@ class ContactGraspNet(nn.Module):
     def _backbone(self, points: Tensor, running: bool, workers: Workers) -> tuple[Tensor, Tensor]:
         """The contacts (B, 2048, 3) [m] and their features (B·2048, 256)."""
         batch, how = len(points), (running, workers)
-        at1 = _level(points.cpu().numpy(), 2048, LEVEL_1, workers)
-        at2 = _level(at1.xyz, 512, LEVEL_2, workers)
-        at3 = _level(at2.xyz, 128, LEVEL_3, workers)
+        at1 = _level(points.cpu().numpy(), 2048, LEVEL_1, workers.map)
+
+        def coarser() -> tuple[_Level, _Level]:
+            at2 = _level(at1.xyz, 512, LEVEL_2)
+            return at2, _level(at2.xyz, 128, LEVEL_3)
+
+        started = workers.start(coarser)
         contact = torch.from_numpy(at1.xyz).to(points.device)
         xyz0, xyz1 = points.flatten(0, 1), contact.flatten(0, 1)
-        xyz2, xyz3 = (torch.from_numpy(at.xyz).to(points.device).flatten(0, 1) for at in (at2, at3))
         sa1 = self.sa1(xyz0, xyz0, xyz1, at1.neighbours, *how)
+        at2, at3 = started()
+        xyz2, xyz3 = (torch.from_numpy(at.xyz).to(points.device).flatten(0, 1) for at in (at2, at3))
         sa2 = self.sa2(sa1, xyz1, xyz2, at2.neighbours, *how)
         sa3 = self.sa3(sa2, xyz2, xyz3, at3.neighbours, *how)
         # All points of level 3 are one group; here the place comes first, then the features.
@@ -233,15 +239,12 @@ class _Level:
 
 
 def _level(
-    xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], workers: Workers
+    xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], each: Each = map
 ) -> _Level:
     """Picks ``count`` of the points (B, N, 3) of each cloud, and their neighbours among them."""
     radii, most = [s.radius for s in scales], [s.most for s in scales]
     centres = np.stack([cloud[farthest_points(cloud, count)] for cloud in xyz])
-    found = [
-        ball_query(cloud, c, radii, most, workers.map)
-        for cloud, c in zip(xyz, centres, strict=True)
-    ]
+    found = [ball_query(cloud, c, radii, most, each) for cloud, c in zip(xyz, centres, strict=True)]
     neighbours = []
     for scale in zip(*found, strict=True):
         rows = [near.index + i * xyz.shape[1] for i, near in enumerate(scale)]

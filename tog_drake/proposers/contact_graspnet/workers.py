@@ -44,6 +44,13 @@ class Workers:
         """What ``work`` makes of each of the things."""
         return list((self._pool.map if self.count > 1 else map)(work, things))
 
+    def start(self, work: Callable[[], Out]) -> Callable[[], Out]:
+        """Has ``work`` done beside what follows; what comes back waits for what it makes."""
+        if self.count > 1:
+            return self._pool.submit(work).result
+        made = work()
+        return lambda: made
+
     def by_rows(self, work: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
         """What ``work`` makes of the rows of ``x``."""
         return torch.cat(self.map(work, x.chunk(self.count)))
