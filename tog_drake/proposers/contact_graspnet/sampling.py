@@ -20,7 +20,7 @@ FIRST = 64  # farthest points that are picked by a walk over all
 ACTIVE = 700  # points that are walked over afterwards
 BLOCKS = 128  # of points that are brought up to date together
 DENSE = 4096  # points near a group of centres; of more, so many are looked at first
-GROUP = 48  # centres whose distances are computed together: they fit into the cache
+GROUP = 96  # centres whose distances are computed together: of fewer, threads wait for Python
 
 
 def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -185,9 +185,13 @@ def _search(xyz: NDArray[np.float32], group: Rows, centres: Points, balls: Seque
         near = _in_box(xyz, centres, max(ball.radius for ball in balls))
         part = near[:columns]
         distance = squared_distances(centres.T[:, :, None], xyz.take(part, axis=1)[:, None])
+        distance = distance.ravel()
+        hit: Rows | None = None
         start = np.arange(len(centres) + 1) * len(part)
-        for ball in balls:
-            hit = np.flatnonzero(distance <= np.float32(ball.radius**2))  # centre by centre
+        for ball in sorted(balls, key=lambda ball: -ball.radius):  # the smaller within the larger
+            some = distance if hit is None else distance.take(hit)
+            inside = np.flatnonzero(some <= np.float32(ball.radius**2))  # centre by centre
+            hit = inside if hit is None else hit.take(inside)
             first = hit.searchsorted(start)
             hits = np.diff(first)[:, None]
             most = ball.index.shape[1]
@@ -195,7 +199,9 @@ def _search(xyz: NDArray[np.float32], group: Rows, centres: Points, balls: Seque
             if len(hit) > 0:
                 slot = np.arange(most)
                 slot = first[:-1, None] + slot * (slot < hits)
-                ball.index[group] = part.take(hit.take(slot, mode="clip") % len(part))
+                ball.index[group] = part.take(
+                    hit.take(slot, mode="clip") - start[:-1, None], mode="clip"
+                )
         balls = [ball for ball in balls if ball.count[group].min() < ball.index.shape[1]]
         if len(part) == len(near) or not balls:
             return
