@@ -108,11 +108,12 @@ class ContactGraspNet(nn.Module):
         Raises:
             ValueError: points that are not (B, N, 3), float32 and finite.
         """
-        _check(points)
-        points = points.detach().to(self._device())
+        device = self._device()
         running = self.batch_norm == "running"
-        alone = points.is_cuda or not running  # statistics are those of all rows together
+        alone = device.type != "cpu" or not running  # statistics are those of all rows together
         with Workers(1 if alone else torch.get_num_threads()) as workers:
+            _check(points)
+            points = points.detach().to(device)
             contact, features = self._backbone(points, running, workers)
 
             def head(layers: nn.Sequential) -> Tensor:
