@@ -64,6 +64,10 @@ def test_list_show_and_remove_know_an_imported_object(scan, tmp_path):
     assert done.status == 0
     assert "by its surface" in done.out and "penetration" in done.out
     assert page.stat().st_size > 500_000
+    picture = tmp_path / "box.png"
+    assert f"picture: {picture}" in tog("assets", "show", "red_box", "--out", picture).out
+    assert cv2.imread(str(picture)).shape == (300, 800, 3)
+    refused(tog("assets", "show", "red_box", "--out", "box.jpg"), ".png or .html", "box.jpg")
     assert tog("assets", "remove", "red_box").status == 0
     assert asset_names() == []
     refused(tog("assets", "show", "red_box"), "red_box", "tog assets list")
@@ -78,6 +82,19 @@ def test_an_import_over_an_object_replaces_all_of_it_but_its_part_labels(scan, l
     assert read_report("thing")["extent"] == [0.1, 0.1, 0.1]
     assert (library / "thing" / "parts.yaml").read_text() == "mine"
     assert not (library / "thing" / "stale.obj").exists()
+
+
+def test_the_command_says_that_it_replaces_an_object_and_what_changes(scan, library):
+    first = tog("assets", "import", scan, "--scale", "0.01", "--mass", "0.2")
+    assert "replaces" not in first.out
+    done = tog("assets", "import", scan, "--scale", "0.01")
+    assert done.status == 0
+    said = " ".join(done.out.split())
+    assert (
+        "it replaces the red_box_1 imported before: mass 0.2 kg, by its surface -> 0.05 kg" in said
+    )
+    again = tog("assets", "import", scan, "--scale", "0.01")
+    assert "imported before: same file, extent and mass" in " ".join(again.out.split())
 
 
 def _put(library):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 from rich.table import Table
 
-from tog_drake.assets.reporting import details_of, line_of, rows_of
+from tog_drake.assets.reporting import changes_of, details_of, line_of, rows_of
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, write_atomically
 from tog_drake.options import JsonOption, valid
@@ -49,6 +49,7 @@ def import_(
 ) -> None:
     """Make scanned meshes into objects that can be grasped. Exit 0: all lie still; 1: not all."""
     from tog_drake.assets.importing import ImportOptions, import_mesh, name_for
+    from tog_drake.assets.library import asset_names, read_report
 
     if name is not None and len(meshes) > 1:
         raise InputError(f"--name {name} is one name for {len(meshes)} meshes; import one by one")
@@ -63,12 +64,16 @@ def import_(
             f"{len(meshes)} meshes, but only {len(named)} names: {', '.join(named)}; "
             "import those of one name one by one, with --name"
         )
+    before = {called: read_report(called) for called in named if called in asset_names()}
     reports = {}
     for called, mesh in named.items():
         with console.status(f"importing {mesh.name} ..."):
             reports[called] = import_mesh(mesh, called, options)
         say(console, f"{called}: {line_of(reports[called])}")
         say(console, f"  {details_of(reports[called])}")
+        if called in before:
+            changes = changes_of(before[called], reports[called])
+            say(console, f"  it replaces the {called} imported before: {changes}")
         for note in reports[called]["notes"]:
             say(console, f"  note: {note}")
     print_json(as_json, reports)
@@ -171,15 +176,17 @@ def _draw_sheet(objects: list[str], path: Path) -> None:
 def show(
     name: Annotated[str, typer.Argument(help="Of an imported object.")],
     out: Annotated[
-        Path | None, typer.Option(help="Write a static page instead of serving one.")
+        Path | None,
+        typer.Option(help="Write a static page (.html) or its picture (.png) instead."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show what its import said of an object, and the object in Meshcat until Ctrl-C."""
     from tog_drake.assets.library import asset_dir, read_report
-    from tog_drake.assets.viewing import serve_asset, write_page
+    from tog_drake.assets.viewing import copy_picture, serve_asset, write_page
 
     console = console_for(as_json)
+    kind = _kind_of(out)
     if out is not None:
         check_file(out)
     report = read_report(name)
@@ -190,9 +197,17 @@ def show(
     print_json(as_json, report)
     if out is None:
         serve_asset(asset_dir(name), console)
-    else:
-        write_page(asset_dir(name), out)
-        say(console, f"page: {out}")
+        return
+    (copy_picture if kind == ".png" else write_page)(asset_dir(name), out)
+    say(console, f"{'picture' if kind == '.png' else 'page'}: {out}")
+
+
+def _kind_of(out: Path | None) -> str:
+    """What is to be written, by its suffix: .png, or .html, which serving a page counts as."""
+    kind = ".html" if out is None else out.suffix.lower()
+    if kind not in (".png", ".html"):
+        raise InputError(f"--out must end in .png or .html, not {out}")
+    return kind
 
 
 @app.command(epilog="Example: tog assets label ycb_048_hammer --out labels.png")
@@ -214,9 +229,7 @@ def label(
 
     console = console_for(as_json)
     chosen = objects or asset_names()
-    kind = ".html" if out is None else out.suffix.lower()
-    if kind not in (".png", ".html"):
-        raise InputError(f"--out must end in .png or .html, not {out}")
+    kind = _kind_of(out)
     if not chosen or (kind == ".html" and len(chosen) != 1):
         raise InputError(
             f"{len(chosen)} objects cannot be shown in one page; name one object, or give "

@@ -30,6 +30,23 @@ def details_of(report: Mapping[str, Any]) -> str:
         return UNREADABLE
 
 
+def changes_of(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+    """Returns what another import of an object has changed, such as "mass 0.5 kg -> 0.2 kg"."""
+    try:
+        said = [
+            (what, of(before), of(after))
+            for what, of in (
+                ("file", lambda report: str(report["file"])),
+                ("extent", _extent),
+                ("mass", lambda report: f"{report['mass']:.3g} kg, by {report['inertia_from']}"),
+            )
+        ]
+    except (KeyError, TypeError, ValueError):
+        return "what it was cannot be read"
+    changed = [f"{what} {old} -> {new}" for what, old, new in said if old != new]
+    return "; ".join(changed) or "same file, extent and mass"
+
+
 def rows_of(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Returns an import report as rows for a person: what, and how much."""
     try:

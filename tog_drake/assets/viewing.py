@@ -11,8 +11,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from rich.console import Console
 
-from tog_drake.assets.library import read_report
+from tog_drake.assets.library import PREVIEW, read_report
 from tog_drake.assets.model import MODEL
+from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 from tog_drake.visualization import make_meshcat
 
@@ -20,6 +21,20 @@ from tog_drake.visualization import make_meshcat
 def write_page(folder: Path, path: Path) -> None:
     """Writes the object in ``folder`` as a static page."""
     write_atomically(path, _shown(folder).StaticHtml())
+
+
+def copy_picture(folder: Path, path: Path) -> None:
+    """Writes the picture that the import drew of the object in ``folder``.
+
+    Raises:
+        InputError: there is none, because the machine that imported it could not render.
+    """
+    picture = folder / PREVIEW
+    if not picture.is_file():
+        raise InputError(
+            f"{folder.name} has no picture ({picture}); import it again, or --out a page (.html)"
+        )
+    write_atomically(path, picture.read_bytes())
 
 
 def serve_asset(folder: Path, console: Console) -> None:
