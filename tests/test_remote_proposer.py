@@ -9,20 +9,23 @@ import threading
 import time
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from io import StringIO
 
 import numpy as np
 import pytest
 import vlm_server as mishaps
 from command import refused, tog
 from loopback import LoopbackServer
+from rich.console import Console
 from synthetic_weights import write_checkpoint
 from tabletop import RED, TABLE, look
 
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError, NoGrasp, NoProposal
 from tog_drake.grasp_check import check_grasps, turned
-from tog_drake.pipeline import PipelineConfig
+from tog_drake.pipeline import Decision, PipelineConfig
 from tog_drake.proposers import propose_protocol, serving
+from tog_drake.proposers.answered import Answerer, answerer_of
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.propose_protocol import (
     SCHEMA,
@@ -34,11 +37,16 @@ from tog_drake.proposers.propose_protocol import (
 )
 from tog_drake.proposers.remote import Remote, RemoteProposer
 from tog_drake.proposers.serving import ProposerServer
+from tog_drake.record import new_record
+from tog_drake.report import EpisodeReport, report_html
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm import transport
 from tog_drake.serve_commands import proposals
+from tog_drake.terminal import print_origins
 from tog_drake.values import Grasps, Workspace
 
+TESTED = Answerer("tested")
+WHO = Answerer("tested", "not the <released> ones\x1b[2J", "0f" * 32)
 QUICK = Antipodal(anchors=40, max_anchors=40, tilts_deg=[40.0])
 RUN = ("run", "--no-meshcat", "--task", "use the hammer")
 
@@ -62,10 +70,10 @@ def grasps(scene):
 
 
 @contextlib.contextmanager
-def serving_by(propose):
+def serving_by(propose, answerer=TESTED):
     """A ProposerServer while the ``with`` lasts; yields its port and the lines that it said."""
     said = []
-    server = ProposerServer(("127.0.0.1", 0), "tested", propose, said.append)
+    server = ProposerServer(("127.0.0.1", 0), answerer, propose, said.append)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     try:
@@ -82,8 +90,8 @@ def remote(port, *, timeout=20.0, seed=3, path="/propose", **settings):
 
 
 def same(mine, theirs):
-    for one, other in zip(vars(mine).values(), vars(theirs).values(), strict=True):
-        np.testing.assert_array_equal(one, other)
+    for name, expected in vars(theirs).items():
+        np.testing.assert_array_equal(getattr(mine, name), expected)
 
 
 # --- both ends together -------------------------------------------------------------------------
@@ -204,6 +212,51 @@ def test_one_proposal_is_made_at_a_time(scene, grasps):
     assert most == [1, 1, 1, 1]
 
 
+def test_who_proposed_is_what_the_server_says_and_is_shown_as_that(scene, grasps):
+    view, seen = scene
+    few = grasps.take(np.arange(N))
+    with serving_by(lambda request: few, WHO) as (port, _):
+        near = remote(port).propose(seen, view)
+        with serving_by(remote_again(port), Answerer("remote")) as (further, _):
+            far = remote(further).propose(seen, view).take(np.arange(1))
+    assert near.answerer == WHO
+    assert far.answerer == replace(WHO, name="tested by remote")
+    with GraspServer(few, says(proposer=None)) as server:
+        untold = remote(server.port).propose(seen, view)
+    assert untold.answerer is None
+
+    config = PipelineConfig(proposer=Remote("http://gpu:8001/propose"))
+    shown = {}
+    for name, of in {"told": near, "untold": untold, "own": grasps}.items():
+        record = new_record(Decision(grasps=of), config, task="t", seed=0)
+        out = StringIO()
+        print_origins(Console(file=out, width=80), [record["proposer"]] * 2)
+        shown[name] = (record["proposer"], out.getvalue(), report_html([EpisodeReport(record)]))
+    told, line, page = shown["told"]
+    assert told["answered_by"] == {"name": WHO.name, "note": WHO.note, "sha256": WHO.sha256}
+    assert line.startswith("proposer: http://gpu:8001/propose says that it is tested, sha256 0f0f")
+    assert line.count("\n") == 1 and "not the <released> ones" in line and "\x1b" not in line
+    assert "the server says that it is tested, not the &lt;released&gt; ones" in page
+    assert "\x1b" not in page
+    none, line, page = shown["untold"]
+    assert none["answered_by"] is None
+    assert "does not say what proposes there" in line
+    assert "does not say what proposes there" in page
+    assert "answered_by" not in shown["own"][0]
+    assert not shown["own"][1]
+
+
+def remote_again(port):
+    return lambda request: remote(port).propose(request.cloud, request.view)
+
+
+def test_a_server_with_a_network_says_which_weights_it_has():
+    weights = {"file": "/home/me/w.pt", "sha256": "ab" * 32, "note": "not the released ones"}
+    said = answerer_of("contact-graspnet", weights)
+    assert said == Answerer("contact-graspnet", "not the released ones", "ab" * 32)
+    assert answerer_of("x" * 500, None).name == "x" * 100
+
+
 def test_a_scenario_names_the_server_by_a_tag():
     text = 'pipeline: {proposer: !Remote {url: "http://gpu:8001/propose", timeout: 5}}'
     config = parse_scenario(text, "text", Scenario()).pipeline
@@ -218,7 +271,7 @@ class GraspServer(LoopbackServer):
 
     def __init__(self, grasps, mishap=None):
         super().__init__(_Handler)
-        self.answer = answer_body(grasps)
+        self.answer = answer_body(grasps, WHO)
         self.mishap = mishap
         self.headers = []
 
@@ -304,6 +357,12 @@ HOSTILE = {
     "one score": (says(scores=[0.5]), "unreadable", "scores is for 1 grasps"),
     "sure beyond measure": (says(scores=[2.0] * N), "unreadable", r"scores\[0\] is 2"),
     "another frame": (says(frame="base"), "unreadable", "unknown frame 'base'"),
+    "nobody": (says(proposer={"name": ""}), "unreadable", "proposer has no name"),
+    "who at length": (says(proposer={"name": "x" * 101}), "unreadable", "name .* too long; valid"),
+    "who in numbers": (says(proposer={"name": "x", "note": 3}), "unreadable", "note .* no text"),
+    "who in a list": (says(proposer=["x"]), "unreadable", "its proposer is a list"),
+    "who and more": (says(proposer={"name": "x", "file": "y"}), "unreadable", "holds 'file'"),
+    "no sum": (says(proposer={"name": "x", "sha256": "0"}), "unreadable", "64 hexadecimal"),
     "an escape in it": (says(frame="\x1b[2J"), "unreadable", r"unknown frame '\\x1b"),
 }  # fmt: skip
 

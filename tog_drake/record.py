@@ -10,10 +10,12 @@ from typing import Any, TypedDict
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
 from tog_drake.pipeline import PROPOSERS, SELECTORS, STAGES, Decision, PipelineConfig
+from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, weights_record
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
+from tog_drake.values import Grasps
 from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
 
 SCHEMA = "tog_drake/episode/1"
@@ -57,7 +59,8 @@ class EpisodeRecord(TypedDict):
     grip_force: float | None  # [N]
     object_friction: float | None  # null, too: what each model says
     proposer: dict[str, Any]  # {"kind": ..., its settings; of a network its weights: file,
-    # sha256, git_sha1, whether it is the released one, and a note that says so}
+    # sha256, git_sha1, whether it is the released one, and a note that says so; of a server that
+    # answered what it says of itself: answered_by, with name, note, sha256; null: nothing}
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
@@ -136,7 +139,7 @@ def new_record(
         noise=None,
         grip_force=None,
         object_friction=None,
-        proposer=_kind_and_settings(config.proposer),
+        proposer=_kind_and_settings(config.proposer) | _answered_by(grasps),
         selector=_kind_and_settings(config.selector),
         counts=counts,
         rejected=dict(rejected),
@@ -175,6 +178,13 @@ def _kind_and_settings(config: Any) -> dict[str, Any]:
     if isinstance(config, Vlm) and config.model is not None:
         more["model"] = {"specification": specification(config.model), **asdict(config.model)}
     return {"kind": kind, **asdict(config), **more}
+
+
+def _answered_by(grasps: Grasps | None) -> dict[str, Any]:
+    """What a server says of who proposed these grasps; nothing where they are of no server."""
+    if not isinstance(grasps, AnsweredGrasps):
+        return {}
+    return {"answered_by": None if grasps.answerer is None else asdict(grasps.answerer)}
 
 
 def selector_name(record: EpisodeRecord) -> str:

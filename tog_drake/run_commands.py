@@ -29,9 +29,9 @@ from tog_drake.terminal import (
     deciding,
     print_failures,
     print_json,
+    print_origins,
     print_rates,
     print_stages,
-    print_weights,
     say,
 )
 
@@ -255,7 +255,7 @@ def evaluate_(
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)
     print_rates(console, rows)
-    print_weights(console, records[0]["proposer"].get("weights"))
+    print_origins(console, [record["proposer"] for record in records])
     print_failures(console, failed)
     say(
         console,

@@ -35,6 +35,7 @@ def proposer(
 ) -> None:
     """Propose grasps to `--proposer remote:URL` elsewhere, until Ctrl-C."""
     from tog_drake.pipeline import PipelineConfig
+    from tog_drake.proposers.answered import answerer_of
     from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, weights_record
     from tog_drake.proposers.serving import ProposerServer
     from tog_drake.urls import is_loopback
@@ -43,16 +44,21 @@ def proposer(
     config = PipelineConfig()
     options.apply(config)
     name = options.proposer or ("antipodal" if options.checkpoint is None else "contact-graspnet")
+    weights = None
+    if isinstance(config.proposer, ContactGraspNet):
+        weights = weights_record(config.proposer)
     try:
         server = ProposerServer(
-            (host, port), name, proposals(config), lambda line: say(console, line)
+            (host, port),
+            answerer_of(name, weights),
+            proposals(config),
+            lambda line: say(console, line),
         )
     except (OSError, UnicodeError, OverflowError) as error:
         raise InputError(
             f"cannot listen on {host}:{port} ({error}); valid: --host 127.0.0.1, another --port"
         ) from error
-    if isinstance(config.proposer, ContactGraspNet):
-        print_weights(console, weights_record(config.proposer))
+    print_weights(console, weights)
     say(console, f"proposer {name}: http://{host}:{server.server_port}/propose (Ctrl-C ends it)")
     if not is_loopback(f"http://{host}"):
         say(console, f"anybody who reaches {host} on the network can use it: it asks for no key")

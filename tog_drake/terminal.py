@@ -112,7 +112,7 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     for stage, count, seconds in stage_rows(record):
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
-    print_weights(console, record["proposer"].get("weights"))
+    print_origins(console, [record["proposer"]])
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
@@ -138,6 +138,27 @@ def print_weights(console: Console, weights: "Mapping[str, Any] | None") -> None
     """One line that says whose weights a network had, where one proposed."""
     if weights is not None:
         say(console, f"weights: {weights['file']}, {weights['note']}")
+
+
+def print_origins(console: Console, proposers: "Sequence[Mapping[str, Any]]") -> None:
+    """What records say of whose weights proposed, each once: of a server, in its own words."""
+    weights: dict[str, Any] = {}
+    for proposer in proposers:
+        if "weights" in proposer:
+            weights.setdefault(str(proposer["weights"]), proposer["weights"])
+    for each in weights.values():
+        print_weights(console, each)
+    for line in dict.fromkeys(_answerer(p) for p in proposers if "answered_by" in p):
+        say(console, line)
+
+
+def _answerer(proposer: "Mapping[str, Any]") -> str:
+    said, url = proposer["answered_by"], proposer["url"]
+    if said is None:
+        return f"proposer: {url} does not say what proposes there, nor with what weights"
+    weights = f", sha256 {said['sha256']}" if said["sha256"] else ""
+    note = f", {said['note']}" if said["note"] else ""
+    return f"proposer: {url} says that it is {said['name']}{weights}{note}"
 
 
 def print_answers(console: Console, record: "EpisodeRecord") -> None:

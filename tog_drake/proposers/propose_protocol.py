@@ -15,7 +15,9 @@ The request is a POST of JSON. W is the world, z up, [m]; C the camera: x right,
 
 An ARRAY is ``{"dtype": "float32", "shape": [N, 3], "base64": "..."}``: little-endian, row by row.
 The answer is a document (see ``grasp_document``) with the same ``schema``, as JSON; in what frame
-and for what gripper is up to the server. A server of one's own, whole::
+and for what gripper is up to the server. It may say who proposed, as ``"proposer": {"name": "mine",
+"note": "trained on mugs", "sha256": "of the weights"}``; records keep that. A server of one's own,
+whole::
 
     import base64, json, numpy as np
     from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -47,6 +49,7 @@ from typing import Any
 import numpy as np
 from pydrake.perception import BaseField, Fields, PointCloud
 
+from tog_drake.proposers.answered import Answerer, read_answerer
 from tog_drake.proposers.grasp_document import (
     MAX_GRASPS,
     BadDocument,
@@ -201,10 +204,11 @@ def _brief(value: Any) -> str:
     return f"{value!r:.60}" if isinstance(value, str | int | float | list) else "of another kind"
 
 
-def answer_body(grasps: Grasps) -> dict[str, Any]:
+def answer_body(grasps: Grasps, answerer: Answerer) -> dict[str, Any]:
     """Returns the JSON of an answer; of more than ``MAX_GRASPS`` grasps the best."""
     return {
         "schema": SCHEMA,
+        "proposer": asdict(answerer),
         "frame": "world",
         "gripper": "G",
         "poses": grasps.X_WG[:MAX_GRASPS].tolist(),
@@ -214,8 +218,8 @@ def answer_body(grasps: Grasps) -> dict[str, Any]:
     }
 
 
-def read_answer(body: Any) -> Document:
-    """Returns the grasps of an answer.
+def read_answer(body: Any) -> tuple[Document, Answerer | None]:
+    """Returns the grasps of an answer, and who proposed them, where it says so.
 
     Raises:
         BadDocument: saying what was given and what would be valid.
@@ -223,4 +227,5 @@ def read_answer(body: Any) -> Document:
     if not isinstance(body, dict) or body.get("schema") != SCHEMA:
         schema = _brief(body.get("schema")) if isinstance(body, dict) else "none"
         raise BadDocument(f"its schema is {schema}; valid: {SCHEMA!r}")
-    return read_document({name: value for name, value in body.items() if name != "schema"})
+    rest = {name: value for name, value in body.items() if name not in ("schema", "proposer")}
+    return read_document(rest), read_answerer(body.get("proposer"))

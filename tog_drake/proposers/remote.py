@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from pydrake.perception import PointCloud
 
 from tog_drake.errors import InputError, NoProposal
+from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.proposers.grasp_document import BadDocument, grasps_in_world
 from tog_drake.proposers.propose_protocol import Request, read_answer, request_body
 from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.transport import post
 from tog_drake.urls import host_of, is_plain_url
-from tog_drake.values import Grasps, View, Workspace
+from tog_drake.values import View, Workspace
 
 ATTEMPTS = 2
 
@@ -51,7 +52,7 @@ class RemoteProposer:
         self._workspace = workspace
         self._seed = seed
 
-    def propose(self, cloud: PointCloud, view: View) -> Grasps:
+    def propose(self, cloud: PointCloud, view: View) -> AnsweredGrasps:
         """Returns grasps, best first, possibly none.
 
         Raises:
@@ -68,13 +69,14 @@ class RemoteProposer:
                 attempts=ATTEMPTS,
                 retryable=frozenset(),
             )
-            document = read_answer(answer)
+            document, answerer = read_answer(answer)
         except Unanswered as error:
             raise self._failed(str(error), error) from None
         except BadDocument as error:
             message = f"{host_of(config.url)} answers, but not with grasps: {error}"
             raise self._failed(message, Unanswered("unreadable", message)) from None
-        return grasps_in_world(document, cloud, view.X_WC)
+        grasps = grasps_in_world(document, cloud, view.X_WC)
+        return AnsweredGrasps(**vars(grasps), answerer=answerer)
 
     def _failed(self, what: str, error: Unanswered) -> NoProposal:
         advice = {

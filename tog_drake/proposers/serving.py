@@ -15,6 +15,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from tog_drake.errors import TogError
+from tog_drake.proposers.answered import Answerer, passed_on
 from tog_drake.proposers.propose_protocol import (
     SCHEMA,
     BadRequest,
@@ -39,7 +40,7 @@ class ProposerServer(ThreadingHTTPServer):
 
     Args:
         address: host and port; of port 0 the system picks a free one, see ``server_port``.
-        name: of the proposer, as /healthz tells it.
+        answerer: who proposes, as answers and /healthz tell it.
         propose: makes the grasps; it is not called by two threads at a time.
         say: takes a line about each request.
 
@@ -51,9 +52,13 @@ class ProposerServer(ThreadingHTTPServer):
     request_queue_size = MAX_CLIENTS
 
     def __init__(
-        self, address: tuple[str, int], name: str, propose: Propose, say: Callable[[str], None]
+        self,
+        address: tuple[str, int],
+        answerer: Answerer,
+        propose: Propose,
+        say: Callable[[str], None],
     ):
-        self.name, self.say = name, say
+        self.answerer, self.say = answerer, say
         self._propose = propose
         self._turn = threading.Lock()
         self._places = threading.BoundedSemaphore(MAX_CLIENTS)
@@ -120,7 +125,9 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if self.path == "/healthz":
-            self._send(200, {"status": "ok", "schema": SCHEMA, "proposer": self.server.name})
+            self._send(
+                200, {"status": "ok", "schema": SCHEMA, "proposer": self.server.answerer.name}
+            )
         else:
             self._send(404, _error("there is nothing here; valid: GET /healthz, POST /propose"))
 
@@ -167,7 +174,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, request: Request) -> dict[str, Any]:
         try:
-            body = answer_body(self.server.propose(request))
+            grasps = self.server.propose(request)
+            body = answer_body(grasps, passed_on(self.server.answerer, grasps))
             read_answer(body)  # hears what the client would
             return body
         except TimeoutError:
