@@ -1,6 +1,7 @@
 """Weights from a file: those that fit are used, everything else is refused and never run."""
 
 import io
+import os
 import pickle
 import zipfile
 from dataclasses import replace
@@ -74,6 +75,17 @@ def test_a_file_is_loaded_once_unless_it_changes(good):
     first = load_network(good, device="cpu", batch_norm="running")
     assert load_network(good, device="cpu", batch_norm="running") is first
     assert load_network(good, device="cpu", batch_norm="batch")[0] is not first[0]
+
+
+def test_another_file_of_the_same_age_is_another(tmp_path, state):
+    file = saved(tmp_path / "model.pt", state)
+    first = load_network(file, device="cpu", batch_norm="running")[1]
+    other = saved(tmp_path / "other.pt", {**state, KEY: state[KEY] + 1})
+    time = file.stat().st_mtime_ns
+    os.utime(other, ns=(time, time))
+    assert other.stat().st_size == file.stat().st_size
+    other.replace(file)
+    assert load_network(file, device="cpu", batch_norm="running")[1].sha256 != first.sha256
 
 
 def test_only_the_released_file_counts_as_released(good, monkeypatch):

@@ -387,16 +387,26 @@ def test_a_setting_out_of_its_bounds_is_refused(config, says):
 RUN = ("run", "--no-meshcat", "--scenario", "Knife", "--task", "use the knife")
 
 
-def test_a_run_with_other_weights_ends_in_an_outcome_and_says_whose_they_are_not(tmp_path):
+def test_a_run_with_other_weights_ends_in_an_outcome_and_says_whose_they_are_not(
+    tmp_path, monkeypatch
+):
     file = tmp_path / "synthetic.pt"
     write_checkpoint(file)
+    used = hashlib.sha256(file.read_bytes()).hexdigest()
+
+    def meanwhile(*arguments):
+        file.write_bytes(b"another file")
+        return predict(*arguments)
+
+    monkeypatch.setattr(proposer, "predict", meanwhile)
     done = tog(*RUN, "--checkpoint", file, "--out", tmp_path / "out", "--json")
     assert done.status in (0, 1)
     record = json.loads(done.out)
     assert record["outcome"] in OUTCOMES
     assert record["proposer"]["kind"] == "contact-graspnet"
     weights = record["proposer"]["weights"]
-    assert weights["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+    assert file.read_bytes() == b"another file"
+    assert weights["sha256"] == used
     assert weights["released"] is False
     assert f"weights: {file}, not the released checkpoint of Contact-GraspNet" in done.err
     assert (tmp_path / "out" / "report.html").is_file()

@@ -71,6 +71,13 @@ def test_a_record_has_every_field_of_the_schema_in_its_order_and_is_json():
     assert record["outcome"] == "chosen"
 
 
+def test_the_weights_are_those_that_the_proposer_worked_with():
+    assert "weights" not in _record(_decision())["proposer"]
+    weights = {"file": "gone.pt", "note": "not the released checkpoint"}
+    record = _record(replace(_decision(), weights=weights))
+    assert _json(record)["proposer"]["weights"] == weights
+
+
 def test_a_decision_that_was_not_executed_says_nothing_about_success():
     record = _record(_decision())
     successes = ("grasp_success", "task_compliance", "combined_success")

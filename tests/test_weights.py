@@ -20,7 +20,7 @@ from tog_drake.errors import InputError
 from tog_drake.proposers.contact_graspnet import trial as trial_module
 from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
 from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet as Config
-from tog_drake.proposers.contact_graspnet.proposer import weights_record
+from tog_drake.proposers.contact_graspnet.proposer import make_contact_graspnet
 from tog_drake.proposers.contact_graspnet.trial import (
     BOX,
     CYLINDER,
@@ -201,7 +201,7 @@ def test_a_file_of_ones_own_is_stored_and_used_and_not_taken_for_the_released_on
         "changed": False,
         "released": False,
     }
-    used = weights_record(Config())
+    used = make_contact_graspnet(Config(), seed=0).weights
     assert (used["file"], used["sha256"], used["released"]) == (kept["file"], digest, False)
 
 

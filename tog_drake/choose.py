@@ -13,6 +13,7 @@ from tog_drake.errors import EpisodeError, InputError, NoFeasibleGrasp, NoGrasp
 from tog_drake.panda import arrival_opening
 from tog_drake.pinhole import project
 from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
+from tog_drake.proposer import weights_of
 from tog_drake.table import find_table
 from tog_drake.task import read_task
 from tog_drake.values import Array, Grasps, View
@@ -74,6 +75,7 @@ def choose_on_view(
         decision.choice = timed("select", lambda: selector.select(view, cloud, candidates, task))
     except EpisodeError as error:
         decision.error = error
+    decision.weights = weights_of(proposer)
     return decision
 
 

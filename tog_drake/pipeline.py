@@ -1,8 +1,10 @@
 """The stages, connected: from one look to a motion."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.perception import PointCloud
@@ -17,7 +19,7 @@ from tog_drake.executor import ExecutorConfig, GraspExecutor
 from tog_drake.feasibility import FeasibilityConfig, FeasibilityFilter
 from tog_drake.panda import MAX_OPENING
 from tog_drake.planning_model import PlanningModel
-from tog_drake.proposer import GraspProposer, Proposer
+from tog_drake.proposer import GraspProposer, Proposer, weights_of
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer
 from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, make_contact_graspnet
 from tog_drake.proposers.file import File, FileProposer
@@ -149,6 +151,7 @@ class GraspPipeline(Diagram):
         _check_workspace(config.workspace)
         _check_table(config.workspace, planning_model)
         self.executor = GraspExecutor(config.executor, retries=config.retries)
+        self.proposer = make_proposer(config, seed)
         stages: dict[str, LeafSystem] = {
             "camera": Camera(intrinsics),
             "cloud": SceneCloud(
@@ -156,7 +159,7 @@ class GraspPipeline(Diagram):
                 config.workspace,
                 robot_spheres=lambda q: _spheres(planning_model, q),
             ),
-            "proposer": GraspProposer(make_proposer(config, seed)),
+            "proposer": GraspProposer(self.proposer),
             "feasibility": FeasibilityFilter(config.feasibility, config.workspace, planning_model),
             "candidates": CandidatePicker(config.candidates, seed=seed),
             "selector": _make_selector_system(config, seed, ground_truth),
@@ -332,6 +335,7 @@ class Decision:
     motion: GraspMotion | None = None
     error: EpisodeError | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    weights: Mapping[str, Any] | None = None  # those that the proposer works with, see weights_of
 
 
 def decide(pipeline: GraspPipeline, context: Context) -> Decision:
@@ -355,4 +359,5 @@ def decide(pipeline: GraspPipeline, context: Context) -> Decision:
             break
         finally:
             decision.seconds[stage.key] = time.perf_counter() - start
+    decision.weights = weights_of(pipeline.proposer)
     return decision

@@ -1,6 +1,7 @@
 """From cloud and view to grasps. How they are found is behind the ``Proposer`` protocol."""
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 from pydrake.common.value import Value
 from pydrake.perception import PointCloud
@@ -23,6 +24,15 @@ class Proposer(Protocol):
                 that want the points of the table too, or to work in the camera's frame.
         """
         ...
+
+
+def weights_of(proposer: Proposer) -> Mapping[str, Any] | None:
+    """Returns what a proposer says of the weights that it works with; None where it has none.
+
+    It says so by an attribute ``weights``: at least ``file`` and ``note``, as text. They are those
+    that were loaded, whatever the file has become since.
+    """
+    return getattr(proposer, "weights", None)
 
 
 class GraspProposer(LeafSystem):

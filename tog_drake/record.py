@@ -11,7 +11,6 @@ from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
 from tog_drake.pipeline import PROPOSERS, SELECTORS, STAGES, Decision, PipelineConfig
 from tog_drake.proposers.answered import AnsweredGrasps
-from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, weights_record
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
@@ -139,7 +138,7 @@ def new_record(
         noise=None,
         grip_force=None,
         object_friction=None,
-        proposer=_kind_and_settings(config.proposer) | _answered_by(grasps),
+        proposer=_proposer_record(decision, config) | _answered_by(grasps),
         selector=_kind_and_settings(config.selector),
         counts=counts,
         rejected=dict(rejected),
@@ -165,6 +164,13 @@ def new_record(
     )
 
 
+def _proposer_record(decision: Decision, config: PipelineConfig) -> dict[str, Any]:
+    record = _kind_and_settings(config.proposer)
+    if decision.weights is not None:
+        record["weights"] = dict(decision.weights)
+    return record
+
+
 def _kind_and_settings(config: Any) -> dict[str, Any]:
     """What the config of a proposer or selector says, and its kind as the command spells it."""
     known = {**PROPOSERS, **SELECTORS}
@@ -173,8 +179,6 @@ def _kind_and_settings(config: Any) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if isinstance(config, Oracle):
         more["note"] = ORACLE_NOTE
-    if isinstance(config, ContactGraspNet):
-        more["weights"] = weights_record(config)
     if isinstance(config, Vlm) and config.model is not None:
         more["model"] = {"specification": specification(config.model), **asdict(config.model)}
     return {"kind": kind, **asdict(config), **more}

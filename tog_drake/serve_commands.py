@@ -34,9 +34,10 @@ def proposer(
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one.")] = 8001,
 ) -> None:
     """Propose grasps to `--proposer remote:URL` elsewhere, until Ctrl-C."""
-    from tog_drake.pipeline import PipelineConfig
+    from tog_drake.pipeline import PipelineConfig, make_proposer
+    from tog_drake.proposer import weights_of
     from tog_drake.proposers.answered import answerer_of
-    from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, weights_record
+    from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet
     from tog_drake.proposers.serving import ProposerServer
     from tog_drake.urls import is_loopback
 
@@ -46,7 +47,7 @@ def proposer(
     name = options.proposer or ("antipodal" if options.checkpoint is None else "contact-graspnet")
     weights = None
     if isinstance(config.proposer, ContactGraspNet):
-        weights = weights_record(config.proposer)
+        weights = weights_of(make_proposer(config, seed=0))
     try:
         server = ProposerServer(
             (host, port),

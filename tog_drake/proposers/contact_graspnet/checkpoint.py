@@ -56,13 +56,20 @@ def load_network(file: Path, *, device: str, batch_norm: str) -> tuple[ContactGr
         device = "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda: torch finds no GPU here; valid: cpu, auto")
-    changed = file.stat().st_mtime_ns if file.is_file() else 0
-    return _load(file.resolve(), changed, device, batch_norm)
+    return _load(file.resolve(), _version(file), device, batch_norm)
+
+
+def _version(file: Path) -> tuple[int, ...]:
+    """What becomes another when the file does, as far as that shows without reading it."""
+    if not file.is_file():
+        return ()
+    stat = file.stat()
+    return stat.st_mtime_ns, stat.st_size, stat.st_ino
 
 
 @lru_cache(maxsize=4)
 def _load(
-    file: Path, changed: int, device: str, batch_norm: Any
+    file: Path, version: tuple[int, ...], device: str, batch_norm: Any
 ) -> tuple[ContactGraspNet, Checkpoint]:
     checkpoint = read_checkpoint(file)
     network = ContactGraspNet(batch_norm)

@@ -3,7 +3,7 @@
 The network's hand N closes along x and has its origin at the base; it becomes G here.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,13 +80,21 @@ class ContactGraspNetProposer:
         network: a ``ContactGraspNet`` of torch, or what answers like one.
         seed: of which pixels are shown, where there are more than ``POINTS``, and of the points
             that further passes begin with.
+        weights: what a record says of the network's weights.
 
     Raises:
         InputError: a setting is out of its bounds.
     """
 
-    def __init__(self, config: ContactGraspNet, network: Network, seed: int):
+    def __init__(
+        self,
+        config: ContactGraspNet,
+        network: Network,
+        seed: int,
+        weights: Mapping[str, Any] | None = None,
+    ):
         _check(config)
+        self.weights = weights
         self._config = config
         self._network = network
         self._seed = seed
@@ -178,16 +186,17 @@ def make_contact_graspnet(config: ContactGraspNet, seed: int) -> ContactGraspNet
         InputError: a setting is out of its bounds, torch is missing, or there are no such weights.
     """
     _check(config)
-    return ContactGraspNetProposer(config, _loaded(config)[0], seed)
+    require_torch()
+    from tog_drake.proposers.contact_graspnet.checkpoint import load_network
+
+    network, checkpoint = load_network(
+        _checkpoint_file(config), device=config.device, batch_norm=config.batch_norm
+    )
+    return ContactGraspNetProposer(config, network, seed, _weights_record(checkpoint))
 
 
-def weights_record(config: ContactGraspNet) -> dict[str, Any]:
-    """Returns what a record says of the weights: which they are, and what that means.
-
-    Raises:
-        InputError: as ``make_contact_graspnet``.
-    """
-    checkpoint = _loaded(config)[1]
+def _weights_record(checkpoint: "Checkpoint") -> dict[str, Any]:
+    """What a record says of the weights that were loaded: which they are, what that means."""
     return {
         "file": str(checkpoint.file),
         "sha256": checkpoint.sha256,
@@ -195,14 +204,6 @@ def weights_record(config: ContactGraspNet) -> dict[str, Any]:
         "released": checkpoint.released,
         "note": "the released checkpoint" if checkpoint.released else NOT_RELEASED,
     }
-
-
-def _loaded(config: ContactGraspNet) -> tuple[Network, "Checkpoint"]:
-    require_torch()
-    from tog_drake.proposers.contact_graspnet.checkpoint import load_network
-
-    file = _checkpoint_file(config)
-    return load_network(file, device=config.device, batch_norm=config.batch_norm)
 
 
 def _checkpoint_file(config: ContactGraspNet) -> Path:
