@@ -108,7 +108,7 @@ def refused(file, *words):
 
 def test_a_missing_file_is_named(tmp_path):
     refused(tmp_path / "model.pt", "there is no checkpoint")
-    refused(tmp_path, "there is no checkpoint")  # a folder is no file
+    refused(tmp_path, "is a folder")
 
 
 @pytest.mark.parametrize("content", [b"", b"no weights", pickle.dumps({"model": {}})])
@@ -162,6 +162,43 @@ def test_a_file_that_asks_for_code_is_refused_and_nothing_is_run(tmp_path, state
     assert touched.exists()
 
 
+@pytest.mark.parametrize(
+    ("asked", "argument"),
+    [
+        (b"builtins\nbytearray", b"\x8a\x05" + (10**11).to_bytes(5, "little")),
+        (b"__builtin__\nbytearray", b"\x8a\x05" + (10**11).to_bytes(5, "little")),
+        (b"torch._utils\n_rebuild_sparse_tensor", b"N"),
+    ],
+)
+def test_a_small_file_that_asks_for_any_memory_is_refused(tmp_path, asked, argument):
+    file = saved(tmp_path / "greedy.pt", 0)
+    with zipfile.ZipFile(file) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith("data.pkl"))
+        old = archive.read(name)
+    in_other_words(file, old, b"\x80\x02c" + asked + b"\n" + argument + b"\x85R.")
+    assert file.stat().st_size < 2000
+    refused(file, "asks for " + asked.decode().replace("\n", "."), "any memory")
+
+
+def test_a_number_of_numpy_takes_no_memory_however_long_it_is_said_to_be(tmp_path, state):
+    file = saved(tmp_path / "greedy.pt", {"model": state, "best": np.float64(0.5)})
+    old, new = b"X\x02\x00\x00\x00f8", b"X\x0b\x00\x00\x00V2000000000"
+    in_other_words(file, old, new)
+    with zipfile.ZipFile(file) as archive:
+        assert any(new in archive.read(n) for n in archive.namelist() if n.endswith("data.pkl"))
+    assert set(read_checkpoint(file).state) == set(state)
+
+
+def test_a_pickle_that_is_too_long_is_refused(tmp_path, state):
+    file = saved(tmp_path / "long.pt", {"model": state, "more": "x" * 1_000_000})
+    refused(file, "bytes; at most 1000000 are read")
+
+
+def test_a_variance_below_0_is_none(tmp_path, state):
+    key = "sa1.bn_blocks.0.0.running_var"
+    refused(saved(tmp_path / "w.pt", {**state, key: -state[key]}), key, "below 0")
+
+
 @pytest.mark.parametrize("content", [[1, 2], {"model": 3}, torch.zeros(3)])
 def test_other_content_than_a_state_dict_is_told(tmp_path, content):
     refused(saved(tmp_path / "other.pt", content), "state dict")
@@ -189,7 +226,7 @@ def test_a_wrong_shape_is_told_with_the_right_one(tmp_path, state):
         (torch.full((32, 6, 1, 1), float("nan")), "not finite"),
         (torch.full((32, 6, 1, 1), float("inf")), "not finite"),
         (torch.zeros((32, 6, 1, 1), dtype=torch.complex64), "no dense real tensor"),
-        (torch.zeros((32, 6, 1, 1)).to_sparse(), "no dense real tensor"),
+        (torch.full((32, 6, 1, 1), 1e300, dtype=torch.float64), "not finite as torch.float32"),
         (3.0, "no dense real tensor"),
     ],
 )

@@ -6,15 +6,15 @@ its tensors must be exactly those of the network.
 
 import io
 import pickle
+import pickletools
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,7 +23,14 @@ from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
 from tog_drake.weights import CONTACT_GRASPNET, MAX_BYTES, TORCH_FILE, git_sha1, sha256
 
 OLDEST_TORCH = (2, 6)  # older ones can be made to run code by a file even with weights_only
+MAX_PICKLE_BYTES = 1_000_000  # names and shapes; that of a state dict has about 30 000
 _NAMED = 3  # as many wrong keys are named
+# What a pickle of tensors, numbers, texts and containers asks for. torch itself would allow more,
+# such as a bytearray of any length.
+_GLOBALS = re.compile(
+    r"collections OrderedDict|_codecs encode|numpy dtype|numpy\._?core\.multiarray scalar|"
+    r"torch \w+Storage|torch\._utils (_rebuild_tensor_v2|_rebuild_parameter)"
+)
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,8 @@ def read_checkpoint(file: Path) -> Checkpoint:
 
 
 def _read(file: Path) -> bytes:
+    if file.is_dir():
+        raise InputError(f"the checkpoint {file} is a folder; valid: a file that torch.save wrote")
     if not file.is_file():
         raise InputError(f"there is no checkpoint {file}")
     size = file.stat().st_size
@@ -131,14 +140,15 @@ def _read(file: Path) -> bytes:
 def _unpickled(file: Path, data: bytes) -> Any:
     """What the file holds, made of tensors, numbers, texts and containers alone."""
     try:
-        with torch.serialization.safe_globals(_numpy_types()):
+        _check_pickle(torch._C.PyTorchFileReader(io.BytesIO(data)).get_record("data.pkl"))
+        with torch.serialization.safe_globals(_NUMPY):
             return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         wanted = re.search(r"GLOBAL (\S+)", str(error))
         what = f"asks for {wanted[1]}" if wanted else "holds what is no tensor"
         raise InputError(
-            f"the checkpoint {file} is refused: it {what}, and could run any code; nothing of it "
-            "was run. Valid: tensors, numbers and texts"
+            f"the checkpoint {file} is refused: it {what}, and could run any code or take any "
+            "memory; nothing of it was run. Valid: tensors, numbers and texts"
         ) from error
     except Exception as error:  # who knows what a damaged or a malicious file leads to
         first = (str(error).splitlines() or [""])[0]
@@ -147,18 +157,35 @@ def _unpickled(file: Path, data: bytes) -> Any:
         ) from error
 
 
-def _numpy_types() -> list[Callable[..., Any] | tuple[Callable[..., Any], str]]:
-    """What a number of NumPy in a file is made of: published weights have one beside them.
+def _check_pickle(data: bytes) -> None:
+    """Raises UnpicklingError where a pickle asks for something else than ``_GLOBALS``; runs none.
 
-    NumPy 1 wrote ``numpy.core``, NumPy 2 writes ``numpy._core``.
+    ValueError: it is too long, or no pickle.
     """
-    scalar: Any = np.float64(0).__reduce__()[0]
-    return [
-        (scalar, "numpy.core.multiarray.scalar"),
-        (scalar, "numpy._core.multiarray.scalar"),
-        np.dtype,
-        type(np.dtype(np.float64)),
-    ]
+    if len(data) > MAX_PICKLE_BYTES:
+        raise ValueError(f"a pickle of {len(data)} bytes; at most {MAX_PICKLE_BYTES} are read")
+    for opcode, argument, _ in pickletools.genops(data):
+        if opcode.name in ("STACK_GLOBAL", "INST", "OBJ", "NEWOBJ_EX", "EXT1", "EXT2", "EXT4"):
+            raise pickle.UnpicklingError(f"GLOBAL {opcode.name}")
+        if opcode.name == "GLOBAL" and not _GLOBALS.fullmatch(str(argument)):
+            raise pickle.UnpicklingError(f"GLOBAL {str(argument).replace(' ', '.')}")
+
+
+class _Ignored:
+    """In the place of a number of NumPy: published weights have one beside them, unused here."""
+
+    def __init__(self, *_: Any):
+        pass
+
+    def __setstate__(self, state: Any) -> None:
+        pass
+
+
+_NUMPY: list[Any] = [
+    (_Ignored, "numpy.dtype"),
+    (_Ignored, "numpy.core.multiarray.scalar"),  # so NumPy 1 wrote it
+    (_Ignored, "numpy._core.multiarray.scalar"),  # and so NumPy 2
+]
 
 
 def _check(file: Path, state: Mapping[Any, Any]) -> None:
@@ -181,8 +208,12 @@ def _check(file: Path, state: Mapping[Any, Any]) -> None:
                 f"the checkpoint {file}: {key} has the shape {list(given.shape)}; expected: "
                 f"{list(tensor.shape)}"
             )
-        if not torch.isfinite(given).all():
-            raise InputError(f"the checkpoint {file}: {key} holds numbers that are not finite")
+        if not torch.isfinite(given.to(tensor.dtype)).all():  # as the network will have it
+            raise InputError(
+                f"the checkpoint {file}: {key} holds numbers that are not finite as {tensor.dtype}"
+            )
+        if key.endswith(".running_var") and not (given >= 0).all():
+            raise InputError(f"the checkpoint {file}: {key} holds variances below 0")
 
 
 def _some(what: str, keys: list[Any]) -> str:
