@@ -86,7 +86,7 @@ def scanned(shared_data, tmp_path_factory):
 def _write(folder, solid, core, mass):
     folder.mkdir()
     plain = ScannedMesh(solid.vertices, solid.faces, None, None, (200, 30, 30))
-    write_visual(plain, folder)
+    write_visual(plain, solid, folder)
     inertia = inertia_of(solid, [], mass=mass, density=DENSITY)
     write_model(folder, core=core, skin=[], inertia=inertia)
     return folder / "model.sdf", core[0][:, 2].min()
