@@ -113,9 +113,13 @@ def test_what_a_network_says_in_single_precision_comes_through_bit_for_bit(scene
     view, seen = scene
     said = replace(grasps, X_WG=grasps.X_WG.astype(np.float32).astype(np.float64))
     far = replace(said, X_WG=said.X_WG + np.outer(np.eye(4)[0], np.eye(4)[3]))  # nothing is there
-    for expected in (said, far):
-        with serving_by(lambda request, expected=expected: expected) as (port, _):
-            same(remote(port).propose(seen, view), expected)
+    with serving_by(lambda request: said) as (port, _):
+        same(remote(port).propose(seen, view), said)
+    with (
+        serving_by(lambda request: far) as (port, _),
+        pytest.raises(NoProposal, match=r"grasps have nothing .*'world'.*'G'"),
+    ):
+        remote(port).propose(seen, view)
 
 
 def test_the_grasps_of_a_server_hold_the_block(scene):

@@ -13,7 +13,7 @@ from pydrake.perception import PointCloud
 
 from tog_drake.errors import InputError, NoProposal
 from tog_drake.proposers.answered import AnsweredGrasps
-from tog_drake.proposers.grasp_document import BadDocument, grasps_in_world
+from tog_drake.proposers.grasp_document import BadDocument, HoldNothing, grasps_in_world
 from tog_drake.proposers.propose_protocol import Request, read_answer, request_body
 from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.transport import post
@@ -75,7 +75,10 @@ class RemoteProposer:
         except BadDocument as error:
             message = f"{host_of(config.url)} answers, but not with grasps: {error}"
             raise self._failed(message, Unanswered("unreadable", message)) from None
-        grasps = grasps_in_world(document, cloud, view.X_WC)
+        try:
+            grasps = grasps_in_world(document, cloud, view.X_WC)
+        except HoldNothing as error:
+            raise self._failed(str(error), Unanswered("unreadable", str(error))) from None
         return AnsweredGrasps(**vars(grasps), answerer=answerer)
 
     def _failed(self, what: str, error: Unanswered) -> NoProposal:
