@@ -216,6 +216,14 @@ def test_one_proposal_is_made_at_a_time(scene, grasps):
     assert most == [1, 1, 1, 1]
 
 
+def test_a_server_without_https_is_not_told_to_start(scene, grasps):
+    view, seen = scene
+    with GraspServer(grasps.take(np.arange(N))) as server:
+        proposer = RemoteProposer(Remote(f"https://127.0.0.1:{server.port}/x"), Workspace(), 3)
+        with pytest.raises(NoProposal, match=r"does not speak https; is it http://\?$"):
+            proposer.propose(seen, view)
+
+
 def test_who_proposed_is_what_the_server_says_and_is_shown_as_that(scene, grasps):
     view, seen = scene
     few = grasps.take(np.arange(N))
@@ -350,6 +358,10 @@ HOSTILE = {
     "reset": (mishaps.reset, "unreachable", "is it running"),
     "no http": (mishaps.raw(b"SSH-2.0-OpenSSH_9\r\n\r\n"), "unreachable", "no connection"),
     "refuses": (mishaps.verbatim(b'{"error": {"message": "no"}}', 400), "rejected", '400: "no"'),
+    "is elsewhere": (
+        mishaps.verbatim(b'{"error": {"message": "no"}}', 404),
+        "rejected", r'404: "no"; is the URL right \(of `tog serve proposer` it ends in /propose\)',
+    ),
     "a list": (mishaps.verbatim(b"[]"), "unreadable", "its schema is none"),
     "another schema": (says(schema="grasps/9"), "unreadable", "'grasps/9'; valid: 'tog_drake"),
     "no poses": (says(poses=None), "unreadable", "has no poses"),

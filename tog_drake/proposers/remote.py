@@ -21,6 +21,7 @@ from tog_drake.urls import host_of, is_plain_url
 from tog_drake.values import View, Workspace
 
 ATTEMPTS = 2
+HINTS = {404: "; is the URL right (of `tog serve proposer` it ends in /propose)?"}
 
 
 @dataclass
@@ -68,6 +69,7 @@ class RemoteProposer:
                 deadline=time.monotonic() + config.timeout,
                 attempts=ATTEMPTS,
                 retryable=frozenset(),
+                hints=HINTS,
             )
             document, answerer = read_answer(answer)
         except Unanswered as error:
@@ -84,7 +86,9 @@ class RemoteProposer:
     def _failed(self, what: str, error: Unanswered) -> NoProposal:
         advice = {
             "timed_out": f"; allow more than {self._config.timeout:g} s (timeout of !Remote)",
-            "unreachable": "; `tog serve proposer` there starts one",
+            "unreachable": ""
+            if "does not speak" in what
+            else "; `tog serve proposer` there starts one",
         }
         message = f"no grasps from {self._config.url}: {what}{advice.get(error.status, '')}"
         return NoProposal(message, error.status)
