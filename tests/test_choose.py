@@ -72,8 +72,10 @@ def test_it_prints_one_json_object_and_writes_grasps_overlay_and_record(chosen):
     assert record["schema"] == SCHEMA
     assert record["outcome"] == "chosen"
     assert record["scenario"] is record["object"] is record["grasp_success"] is None
-    assert record["counts"]["feasible"] is None
-    assert record["counts"]["proposed"] > 10
+    counts = record["counts"]
+    assert counts["proposed"] > 10
+    assert counts["feasible"] + record["rejected"]["hidden"] == counts["proposed"]
+    assert f"{counts['feasible']} feasible" in done.err
     assert record["seconds"]["select"] > 0
     assert record["seconds"]["plan"] is record["seconds"]["execute"] is None
     assert "outcome: chosen" in done.err
@@ -216,6 +218,18 @@ def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_pat
     assert "no grasp proposed" in record["message"]
     found = json.loads((out / "grasps.json").read_text(encoding="utf-8"))
     assert (found["grasps"], found["choice"]) == ([], None)
+
+
+def test_grasps_that_push_a_finger_behind_what_was_seen_are_counted(folder, tmp_path, monkeypatch):
+    def every_third(X_WG, opening, view):
+        return (np.arange(len(X_WG)) % 3 == 0).astype(float)
+
+    monkeypatch.setattr(choose, "hidden_share", every_third)
+    done = tog("choose", *_files(folder), *TASK, "--json", "--out", tmp_path / "out")
+    record = json.loads(done.out)
+    hidden = -(-record["counts"]["proposed"] // 3)
+    assert record["rejected"] == {"hidden": hidden}
+    assert record["counts"]["feasible"] == record["counts"]["proposed"] - hidden
 
 
 def test_grasps_that_all_push_a_finger_behind_what_was_seen_are_counted_as_hidden(

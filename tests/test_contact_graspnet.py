@@ -2,6 +2,9 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
+from time import sleep
 from unittest.mock import patch
 
 import numpy as np
@@ -177,16 +180,58 @@ def test_the_answer_depends_neither_on_the_mode_nor_on_what_was_asked_before(net
 def test_on_any_number_of_threads_the_answer_is_the_same(network, threads):
     cloud = torch.from_numpy(random_cloud(np.random.default_rng(5), 3000))[None]
     before = torch.get_num_threads()
-    first = network(cloud)
+    one = network(cloud)
     assert torch.get_num_threads() == before
     try:
         torch.set_num_threads(threads)
-        again = network(cloud)
+        said, again = network(cloud), network(cloud)
         assert torch.get_num_threads() == threads
     finally:
         torch.set_num_threads(before)
-    for name in first:
-        torch.testing.assert_close(again[name], first[name], rtol=0, atol=2e-3)
+    assert all(torch.equal(said[name], again[name]) for name in said)
+    _same(*({name: tensor[0].numpy() for name, tensor in x.items()} for x in (said, one)))
+
+
+def test_a_second_context_waits_for_the_first_and_torch_keeps_its_threads():
+    before = torch.get_num_threads()
+    entered, events = Event(), []
+
+    def second():
+        entered.set()
+        with Workers() as workers:
+            events.append("second")
+            return workers.count
+
+    try:
+        torch.set_num_threads(3)
+        with ThreadPoolExecutor(1) as pool:
+            with Workers() as workers:
+                assert (workers.count, torch.get_num_threads()) == (3, 1)
+                waiting = pool.submit(second)
+                entered.wait()
+                sleep(0.05)  # were there no lock, it would have entered by now
+                events.append("first")
+            assert waiting.result() == 3
+            assert events == ["first", "second"]
+            assert pool.submit(torch.get_num_threads).result() == 3
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_asked_from_two_threads_at_once_it_answers_the_same(network):
+    cloud = torch.from_numpy(random_cloud(np.random.default_rng(6), 300))[None]
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(2)
+        alone = network(cloud)
+        with ThreadPoolExecutor(2) as pool:
+            answers = list(pool.map(network, [cloud] * 4))
+            assert pool.submit(torch.get_num_threads).result() == 2
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(said[name], alone[name]) for said in answers for name in alone)
 
 
 def test_after_an_error_torch_has_its_threads_again():

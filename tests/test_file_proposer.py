@@ -134,11 +134,11 @@ def test_a_grasp_with_nothing_between_its_fingers_is_dropped(tmp_path):
 
 def test_where_no_grasp_holds_anything_it_says_what_may_be_wrong(tmp_path):
     path = write_json(tmp_path / "g.json", document(gripper="franka_hand"))
-    with pytest.raises(NoGrasp, match=r"none of the 2 grasps .*g\.json.*'world'.*'franka_hand'"):
+    with pytest.raises(NoGrasp, match=r"g\.json: 2 of the 2 grasps .*'world'.*'franka_hand'"):
         proposed(path)
-    with pytest.raises(NoGrasp, match="none of the 0 grasps"):
+    with pytest.raises(NoGrasp, match="holds no grasps"):
         proposed(write_json(path, document(poses=np.zeros((0, 4, 4)), scores=np.zeros(0))))
-    with pytest.raises(NoGrasp, match="none of the 2 grasps"):
+    with pytest.raises(NoGrasp, match="2 of the 2 grasps"):
         proposed(write_json(path, document()), seen=cloud((moved(BAR, (2.0, 0)), RED)))
 
 
@@ -391,6 +391,21 @@ def test_the_gripper_that_is_declared_holds_and_another_one_does_not(gripper, an
     assert ours > 0.75
     assert share.pop(gripper) > ours - 0.05
     assert max(share.values()) < 0.1, share
+
+
+def test_grasps_with_widths_and_contacts_in_the_wrong_gripper_or_frame_are_refused(
+    antipodal, tmp_path
+):
+    view, seen, grasps = antipodal
+    right = document(
+        poses=grasps.X_WG, scores=grasps.score, widths=grasps.width, contacts=grasps.p_WContact
+    )
+    assert len(proposed(write_npz(tmp_path / "g.npz", right), view, seen)) == len(grasps)
+    for wrong in ({"gripper": "contact_graspnet"}, {"gripper": "franka_hand"}, {"frame": "camera"}):
+        path = write_npz(tmp_path / "g.npz", {**right, **wrong})
+        (said,) = wrong.values()
+        with pytest.raises(NoGrasp, match=rf"of the {len(grasps)} grasps have nothing .*{said}"):
+            proposed(path, view, seen)
 
 
 def test_without_contacts_those_of_our_own_proposer_are_found_again_nearly(antipodal, tmp_path):

@@ -165,6 +165,12 @@ def test_what_it_says_of_the_scene_is_passed_on_as_it_is(install):
         proposed(name="highest")
 
 
+def test_grasps_beside_what_is_seen_are_refused_by_the_packages_name(install):
+    install(MODULE.replace("- [0, 0, self", "+ [0.5, 0, self"))
+    with pytest.raises(NoGrasp, match=rf"{WHO}: 1 of the 1 grasps have nothing .*'world'.*'G'"):
+        proposed(name="highest")
+
+
 def test_two_packages_with_the_same_name_are_told_and_none_is_taken(install):
     install(MODULE)
     install(MODULE, package="other-point")

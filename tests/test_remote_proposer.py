@@ -113,9 +113,13 @@ def test_what_a_network_says_in_single_precision_comes_through_bit_for_bit(scene
     view, seen = scene
     said = replace(grasps, X_WG=grasps.X_WG.astype(np.float32).astype(np.float64))
     far = replace(said, X_WG=said.X_WG + np.outer(np.eye(4)[0], np.eye(4)[3]))  # nothing is there
-    for expected in (said, far):
-        with serving_by(lambda request, expected=expected: expected) as (port, _):
-            same(remote(port).propose(seen, view), expected)
+    with serving_by(lambda request: said) as (port, _):
+        same(remote(port).propose(seen, view), said)
+    with (
+        serving_by(lambda request: far) as (port, _),
+        pytest.raises(NoProposal, match=r"grasps have nothing .*'world'.*'G'"),
+    ):
+        remote(port).propose(seen, view)
 
 
 def test_the_grasps_of_a_server_hold_the_block(scene):
@@ -210,6 +214,14 @@ def test_one_proposal_is_made_at_a_time(scene, grasps):
         for asker in askers:
             asker.join()
     assert most == [1, 1, 1, 1]
+
+
+def test_a_server_without_https_is_not_told_to_start(scene, grasps):
+    view, seen = scene
+    with GraspServer(grasps.take(np.arange(N))) as server:
+        proposer = RemoteProposer(Remote(f"https://127.0.0.1:{server.port}/x"), Workspace(), 3)
+        with pytest.raises(NoProposal, match=r"does not speak https; is it http://\?$"):
+            proposer.propose(seen, view)
 
 
 def test_who_proposed_is_what_the_server_says_and_is_shown_as_that(scene, grasps):
@@ -346,6 +358,10 @@ HOSTILE = {
     "reset": (mishaps.reset, "unreachable", "is it running"),
     "no http": (mishaps.raw(b"SSH-2.0-OpenSSH_9\r\n\r\n"), "unreachable", "no connection"),
     "refuses": (mishaps.verbatim(b'{"error": {"message": "no"}}', 400), "rejected", '400: "no"'),
+    "is elsewhere": (
+        mishaps.verbatim(b'{"error": {"message": "no"}}', 404),
+        "rejected", r'404: "no"; is the URL right \(of `tog serve proposer` it ends in /propose\)',
+    ),
     "a list": (mishaps.verbatim(b"[]"), "unreadable", "its schema is none"),
     "another schema": (says(schema="grasps/9"), "unreadable", "'grasps/9'; valid: 'tog_drake"),
     "no poses": (says(poses=None), "unreadable", "has no poses"),

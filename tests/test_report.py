@@ -109,7 +109,7 @@ def test_the_page_tells_what_happened():
         "pixel (320, 202)",
         "12,345 points of the cloud",
         "300 grasps proposed",
-        "90 feasible for the arm",
+        "90 feasible",
         "8 candidates shown",
         "no IK 150",
         "hand collision 60",
@@ -137,7 +137,7 @@ def test_an_episode_that_failed_early_still_has_a_page():
     page = text_of(report_html([EpisodeReport(failed, make_view())])).text
     assert "✗ no grasp" in page
     assert "no grasp: 0 of 12 grasps reachable" in page
-    assert "0 feasible for the arm – candidates shown" in page
+    assert "0 feasible – candidates shown" in page
     assert "No motion was planned." in page
     assert "None" not in page.split("episode.json")[0]
     for record in (nothing, {}):

@@ -16,10 +16,11 @@ from synthetic_weights import synthetic_state, write_checkpoint
 
 from tog_drake import doctor, http_stream, weights
 from tog_drake import download as downloading
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, NoGrasp
 from tog_drake.proposers.contact_graspnet import trial as trial_module
 from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
-from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet as Config
+from tog_drake.proposers.contact_graspnet.prediction import predict
+from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet as ContactGraspNetConfig
 from tog_drake.proposers.contact_graspnet.proposer import make_contact_graspnet
 from tog_drake.proposers.contact_graspnet.trial import (
     BOX,
@@ -79,7 +80,8 @@ def test_nothing_is_downloaded_before_the_licence_is_accepted(server, folder):
     assert done.status == 2
     assert "licence: NVIDIA Source Code License (non-commercial)" in done.out
     assert "not for commercial use" in done.out
-    assert "https://github.com/NVlabs/contact_graspnet" in done.out
+    assert "its text: https://github.com/NVlabs/contact_graspnet/blob/" in done.out
+    assert "/License.pdf" in done.out
     assert "nothing was downloaded" in done.err and "--accept-licence" in done.err
     assert server.asked == []
     assert not folder.exists()
@@ -201,7 +203,7 @@ def test_a_file_of_ones_own_is_stored_and_used_and_not_taken_for_the_released_on
         "changed": False,
         "released": False,
     }
-    used = make_contact_graspnet(Config(), seed=0).weights
+    used = make_contact_graspnet(ContactGraspNetConfig(), seed=0).weights
     assert (used["file"], used["sha256"], used["released"]) == (kept["file"], digest, False)
 
 
@@ -338,11 +340,22 @@ def test_contacts_are_counted_where_they_are():
     assert str(try_out(Scripted(np.full(500, 0.2)))).startswith("500 contacts, 0 above 0.23 (")
 
 
+def test_a_network_that_says_no_numbers_has_no_grasp_and_that_is_a_problem():
+    silent = Scripted(np.full(500, np.nan))
+    with pytest.raises(NoGrasp, match=r"of its 500 answers none is finite.*tog weights check"):
+        predict(silent, built_in_cloud()[0], 1, np.random.default_rng(0))
+    said = try_out(silent)
+    assert said.contacts == 0
+    assert any("no grasp at all" in sign for sign in signs_of_no_training({}, said))
+
+
 def test_each_sign_of_weights_without_training_is_told_by_itself():
     varied, equal = (Trial(2048, 300, 0.5 - by, 0.5 + by, 200, 0.1) for by in (0.4, 0.004))
     trained = {"a.num_batches_tracked": torch.tensor(7), "a.running_mean": torch.ones(2),
                "a.running_var": torch.ones(2)}  # fmt: skip
     assert signs_of_no_training(trained, varied) == []
+    (sign,) = signs_of_no_training(trained, Trial(0, 0, 0.0, 0.0, 0, 0.0))
+    assert "no grasp at all" in sign
     (sign,) = signs_of_no_training(trained, equal)
     assert "the same everywhere" in sign
     (sign,) = signs_of_no_training({**trained, "a.num_batches_tracked": torch.tensor(0)}, varied)

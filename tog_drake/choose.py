@@ -16,7 +16,7 @@ from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_sel
 from tog_drake.proposer import weights_of
 from tog_drake.table import find_table
 from tog_drake.task import read_task
-from tog_drake.values import Array, Grasps, View
+from tog_drake.values import Array, FeasibleGrasps, Grasps, View
 from tog_drake.visibility import hidden_share
 
 GRASPS_SCHEMA = "tog_drake/grasps/1"
@@ -70,6 +70,7 @@ def choose_on_view(
                 "the hand's opening and free around it"
             )
         free = timed("filter", lambda: _free(grasps, view, config.feasibility.max_hidden))
+        decision.feasible_grasps = free
         candidates = timed("candidates", lambda: pick_candidates(free, config.candidates, seed))
         decision.candidates = candidates
         decision.choice = timed("select", lambda: selector.select(view, cloud, candidates, task))
@@ -79,8 +80,11 @@ def choose_on_view(
     return decision
 
 
-def _free(grasps: Grasps, view: View, max_hidden: float) -> Grasps:
-    """The grasps that push no finger behind what was seen. Raises NoFeasibleGrasp if all do."""
+def _free(grasps: Grasps, view: View, max_hidden: float) -> FeasibleGrasps:
+    """The grasps that push no finger behind what was seen, without joint paths: there is no arm.
+
+    Raises NoFeasibleGrasp if all do.
+    """
     hidden = hidden_share(grasps.X_WG, arrival_opening(grasps.width), view) > max_hidden
     if hidden.all():
         raise NoFeasibleGrasp(
@@ -88,7 +92,17 @@ def _free(grasps: Grasps, view: View, max_hidden: float) -> Grasps:
             "object from another side",
             {"hidden": len(grasps)},
         )
-    return grasps.take(np.flatnonzero(~hidden))
+    free = grasps.take(np.flatnonzero(~hidden))
+    nowhere = np.zeros((len(free), 0, 7))
+    return FeasibleGrasps(
+        X_WG=free.X_WG,
+        width=free.width,
+        score=free.score,
+        p_WContact=free.p_WContact,
+        q_approach=nowhere,
+        q_lift=nowhere,
+        rejected={"hidden": int(hidden.sum())},
+    )
 
 
 def grasps_record(decision: Decision) -> dict[str, Any]:

@@ -7,6 +7,7 @@ is not. Here every grasp is asked what its fingers would do to the points that t
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.perception import PointCloud
 
 from tog_drake.drawing import Image, draw_grasps
@@ -52,6 +53,23 @@ def check_grasps(grasps: Grasps, cloud: PointCloud) -> list[str]:
         _problem(grasps.take(np.array([i])), p_W, normal, bool(blocked[i]))
         for i in range(len(grasps))
     ]
+
+
+def holds_nothing(X_WG: Array, width: Array, cloud: PointCloud) -> NDArray[np.bool_]:
+    """Returns which of N grasps are "empty" in the sense of ``PROBLEMS``, (N,).
+
+    Args:
+        X_WG: (N, 4, 4).
+        width: (N,) [m].
+        cloud: in W, of the things on the table, with normals.
+    """
+    p_W = cloud.xyzs().T.astype(np.float64)
+    nowhere = np.zeros_like(p_W)  # normals do not matter
+    held = [
+        len(_Held.between_fingers((p_W - X[:3, 3]) @ X[:3, :3], nowhere, w).y)
+        for X, w in zip(X_WG, width, strict=True)
+    ]
+    return np.array(held, np.int64) < FEWEST
 
 
 def _problem(grasp: Grasps, p_W: Array, normal: Array, blocked: bool) -> str:

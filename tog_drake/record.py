@@ -62,7 +62,7 @@ class EpisodeRecord(TypedDict):
     # answered what it says of itself: answered_by, with name, note, sha256; null: nothing}
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
-    rejected: dict[str, int]  # proposals that the arm cannot carry out, by reason
+    rejected: dict[str, int]  # proposals that are not feasible, by reason; without an arm: hidden
     choice: ChoiceRecord | None
     vlm: VlmRecord | None  # null: no model was asked
     attempts: list[AttemptRecord]

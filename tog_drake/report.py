@@ -27,7 +27,7 @@ from tog_drake.visible_text import visible
 FUNNEL = {
     "points": "points of the cloud",
     "proposed": "grasps proposed",
-    "feasible": "feasible for the arm",
+    "feasible": "feasible",
     "candidates": "candidates shown",
 }
 

@@ -60,7 +60,8 @@ CONTACT_GRASPNET = Model(
     licence="NVIDIA Source Code License (non-commercial)",
     terms="for research and evaluation only, not for commercial use; it is that of the code, and "
     "the weights are taken to be under it too",
-    licence_text="the licence file of https://github.com/NVlabs/contact_graspnet",
+    licence_text="https://github.com/NVlabs/contact_graspnet/blob/"
+    "f28013a1a9f593fafc7c6dc0ca022b63464800a0/License.pdf",
 )
 MODELS = {model.name: model for model in (CONTACT_GRASPNET,)}
 

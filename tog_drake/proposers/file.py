@@ -22,7 +22,7 @@ from tog_drake.proposers.grasp_document import (
     NAMES,
     BadDocument,
     Document,
-    between_fingers,
+    HoldNothing,
     grasps_in_world,
     read_document,
 )
@@ -67,17 +67,14 @@ class FileProposer:
         """Returns grasps, best first.
 
         Raises:
-            NoGrasp: the file has none, or none has anything that was seen between its fingers.
+            NoGrasp: the file has none, or most of them hold nothing that was seen.
         """
-        grasps = grasps_in_world(self._document, cloud, view.X_WC)
-        if len(between_fingers(grasps.X_WG, None, cloud)[0]) == 0:
-            held = self._document
-            raise NoGrasp(
-                f"none of the {len(held.scores)} grasps of {self._path} has one of the "
-                f"{cloud.size()} points that were seen between its fingers: is the file of this "
-                f"view, its frame {held.frame!r} and its gripper {held.gripper!r}?"
-            )
-        return grasps
+        if len(self._document.scores) == 0:
+            raise NoGrasp(f"{self._path} holds no grasps")
+        try:
+            return grasps_in_world(self._document, cloud, view.X_WC)
+        except HoldNothing as error:
+            raise NoGrasp(f"no grasps from {self._path}: {error}") from error
 
 
 def _content(path: Path) -> Mapping[str, Any]:

@@ -21,13 +21,17 @@ from dataclasses import dataclass, field, is_dataclass, make_dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
-import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import InputError, TogError
-from tog_drake.proposers.grasp_document import BadDocument, read_document
+from tog_drake.errors import InputError, NoGrasp, TogError
+from tog_drake.proposers.grasp_document import (
+    BadDocument,
+    HoldNothing,
+    grasps_in_world,
+    read_document,
+)
 from tog_drake.schema_check import check_yaml
 from tog_drake.values import Grasps, View, Workspace
 
@@ -75,6 +79,7 @@ class PluginProposer:
 
         Raises:
             InputError: the package's proposer failed, or what it returned are no grasps.
+            NoGrasp: most of them hold nothing that was seen.
         """
         grasps = self._call("failed", lambda: self._proposer.propose(cloud, view))
         if not isinstance(grasps, Grasps):
@@ -89,9 +94,10 @@ class PluginProposer:
             found = read_document(arrays, frame="world", gripper="G")
         except BadDocument as error:
             raise InputError(f"{self._who} returned what are no grasps: {error}") from error
-        assert found.widths is not None and found.contacts is not None
-        checked = Grasps(found.poses, found.widths, found.scores, found.contacts)
-        return checked.take(np.argsort(-checked.score, kind="stable"))
+        try:
+            return grasps_in_world(found, cloud, view.X_WC)
+        except HoldNothing as error:
+            raise NoGrasp(f"{self._who}: {error}") from error
 
     def _settings(self, kind: type, config: Plugin) -> Any:
         """The package's dataclass with the options in their place, as Drake loads a scenario."""

@@ -13,7 +13,7 @@ from pydrake.perception import PointCloud
 
 from tog_drake.errors import InputError, NoProposal
 from tog_drake.proposers.answered import AnsweredGrasps
-from tog_drake.proposers.grasp_document import BadDocument, grasps_in_world
+from tog_drake.proposers.grasp_document import BadDocument, HoldNothing, grasps_in_world
 from tog_drake.proposers.propose_protocol import Request, read_answer, request_body
 from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.transport import post
@@ -21,6 +21,7 @@ from tog_drake.urls import host_of, is_plain_url
 from tog_drake.values import View, Workspace
 
 ATTEMPTS = 2
+HINTS = {404: "; is the URL right (of `tog serve proposer` it ends in /propose)?"}
 
 
 @dataclass
@@ -68,6 +69,7 @@ class RemoteProposer:
                 deadline=time.monotonic() + config.timeout,
                 attempts=ATTEMPTS,
                 retryable=frozenset(),
+                hints=HINTS,
             )
             document, answerer = read_answer(answer)
         except Unanswered as error:
@@ -75,13 +77,18 @@ class RemoteProposer:
         except BadDocument as error:
             message = f"{host_of(config.url)} answers, but not with grasps: {error}"
             raise self._failed(message, Unanswered("unreadable", message)) from None
-        grasps = grasps_in_world(document, cloud, view.X_WC)
+        try:
+            grasps = grasps_in_world(document, cloud, view.X_WC)
+        except HoldNothing as error:
+            raise self._failed(str(error), Unanswered("unreadable", str(error))) from None
         return AnsweredGrasps(**vars(grasps), answerer=answerer)
 
     def _failed(self, what: str, error: Unanswered) -> NoProposal:
         advice = {
             "timed_out": f"; allow more than {self._config.timeout:g} s (timeout of !Remote)",
-            "unreachable": "; `tog serve proposer` there starts one",
+            "unreachable": ""
+            if "does not speak" in what
+            else "; `tog serve proposer` there starts one",
         }
         message = f"no grasps from {self._config.url}: {what}{advice.get(error.status, '')}"
         return NoProposal(message, error.status)

@@ -61,6 +61,9 @@ LEVEL_3 = (
 class ContactGraspNet(nn.Module):
     """The network, and the decoding of what it says; for inference, without gradients (no_grad).
 
+    Not to be confused with the config of the proposer, which has the same name for the scenario's
+    tag: ``proposer.ContactGraspNet``.
+
     The result is the same every time: farthest points start from row 0, dropout is off and nothing
     is updated, whether or not the module is in training mode. Which points are looked at is worked
     out on the CPU; the rest runs where the parameters are.
@@ -111,7 +114,7 @@ class ContactGraspNet(nn.Module):
         device = self._device()
         running = self.batch_norm == "running"
         alone = device.type != "cpu" or not running  # statistics are those of all rows together
-        with Workers(1 if alone else torch.get_num_threads()) as workers:
+        with Workers(1 if alone else None) as workers:
             _check(points)
             points = points.detach().to(device)
             contact, features = self._backbone(points, running, workers)

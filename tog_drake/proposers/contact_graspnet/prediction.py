@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tog_drake.errors import NoGrasp
 from tog_drake.points import Rows
 from tog_drake.values import Array
 
@@ -53,7 +54,11 @@ def predict(network: Network, points: Array, passes: int, rng: np.random.Generat
         rng: picks the points to begin with.
 
     Returns:
-        2048 grasps a pass in the network's order, less those whose pose is no rigid transform.
+        2048 grasps a pass in the network's order, less those whose pose is no rigid transform or
+        whose other numbers are not finite.
+
+    Raises:
+        NoGrasp: these are all.
     """
     import torch
 
@@ -76,8 +81,14 @@ def predict(network: Network, points: Array, passes: int, rng: np.random.Generat
     X_CN[:, :3, 3] += mean
     X_CN[:, :3] *= HALF_TURN[:, None]
     contact = (rows("pred_points", 3) + mean) * HALF_TURN
-    said = Predictions(X_CN, rows("offset_pred"), rows("pred_scores"), contact)
-    return said.take(rigid)
+    said = Predictions(X_CN, rows("offset_pred"), rows("pred_scores"), contact).take(rigid)
+    finite = np.isfinite(said.width) & np.isfinite(said.score)
+    if not finite.any():
+        raise NoGrasp(
+            f"Contact-GraspNet gives no grasp: of its {len(X_CN)} answers none is finite numbers "
+            "with a rigid pose; its weights make no sense, see `tog weights check`"
+        )
+    return said.take(np.flatnonzero(finite))
 
 
 def _rigid(X: Array) -> tuple[Array, Rows]:

@@ -42,7 +42,8 @@ NOT_RELEASED = (
 
 @dataclass
 class ContactGraspNet:
-    """How the network is asked, and which of its grasps are kept."""
+    """How the network is asked, and which of its grasps are kept: ``!ContactGraspNet`` in a
+    scenario. The network itself, of torch, is ``network.ContactGraspNet``."""
 
     checkpoint: str | None = None  # file of weights; None: what `tog weights` has stored
     device: str = "auto"  # auto (cuda where there is one), cpu or cuda

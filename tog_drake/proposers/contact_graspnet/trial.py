@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from tog_drake.errors import NoGrasp
 from tog_drake.proposers.contact_graspnet.network import ContactGraspNet
 from tog_drake.proposers.contact_graspnet.prediction import Network, predict
 from tog_drake.values import Array
@@ -53,8 +54,9 @@ class Trial:
 def try_out(network: Network) -> Trial:
     """Asks the network once about the cloud of ``built_in_cloud``."""
     points, thing = built_in_cloud()
-    said = predict(network, points, 1, np.random.default_rng(0))
-    if len(said.score) == 0:
+    try:
+        said = predict(network, points, 1, np.random.default_rng(0))
+    except NoGrasp:
         return Trial(0, 0, 0.0, 0.0, 0, 0.0)
     row = cKDTree(points).query(said.p_CContact)[1]  # a contact is a point, but for rounding
     on_thing = thing[row]
@@ -89,6 +91,8 @@ def signs_of_no_training(state: Mapping[str, Tensor], trial: Trial) -> list[str]
         return all(bool((state[key] == value).all()) for key in state if key.endswith(ends))
 
     signs = []
+    if trial.contacts == 0:
+        signs.append("it has no grasp at all: no answer is finite numbers with a rigid pose")
     if all_are(0, ".num_batches_tracked"):
         signs.append("no step of training was ever counted (num_batches_tracked is 0 throughout)")
     if all_are(0, ".running_mean") and all_are(1, ".running_var"):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from threading import RLock
 from types import TracebackType
 from typing import TypeVar
 
@@ -13,22 +14,30 @@ In = TypeVar("In")
 Out = TypeVar("Out")
 
 
+_ONE_AT_A_TIME = RLock()  # within a thread there may be more
+
+
 class Workers:
     """A context in which ``count`` threads work on parts of the same thing, each by itself.
 
     torch's own threads wait for each other after every operation, and the network has thousands of
     them: beside another busy program that takes up to fifty times as long. So while more than one
-    work here, torch operates on one thread; afterwards it has as many as before.
+    work here, torch operates on one thread; afterwards it has as many as before. How many it has
+    concerns the whole process: so there is one such context at a time, and others wait for it.
+
+    ``count`` is None: as many as torch has threads.
     """
 
-    def __init__(self, count: int):
-        self.count = count
+    def __init__(self, count: int | None = None):
+        self._wanted = count
 
     def __enter__(self) -> Self:
-        self._before = torch.get_num_threads()
+        _ONE_AT_A_TIME.acquire()
+        self._before = torch.get_num_threads()  # asked here, where nobody else has lowered it
+        self.count = self._before if self._wanted is None else self._wanted
+        self._pool = ThreadPoolExecutor(self.count)
         if self.count > 1:
             torch.set_num_threads(1)
-        self._pool = ThreadPoolExecutor(self.count)
         return self
 
     def __exit__(
@@ -37,8 +46,11 @@ class Workers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._pool.shutdown()
-        torch.set_num_threads(self._before)
+        try:
+            self._pool.shutdown()
+            torch.set_num_threads(self._before)
+        finally:
+            _ONE_AT_A_TIME.release()
 
     def map(self, work: Callable[[In], Out], things: Iterable[In]) -> list[Out]:
         """What ``work`` makes of each of the things."""

@@ -62,6 +62,7 @@ def post(
     deadline: float,
     attempts: int = ATTEMPTS,
     retryable: frozenset[int] = RETRYABLE,
+    hints: Mapping[int, str] | None = None,
 ) -> Any:
     """Sends JSON and returns the JSON of the answer, asking again where that may help.
 
@@ -72,6 +73,7 @@ def post(
         deadline: of everything together, on the clock of ``time.monotonic`` [s].
         attempts: at most, the first included.
         retryable: HTTP statuses after which it is asked again; as after a failed connection.
+        hints: what may help, by HTTP status; by default what helps with a language model.
 
     Raises:
         Rejected: the server does not take the request.
@@ -85,6 +87,9 @@ def post(
             return _within(deadline, url, headers, data)
         except _Again as again:
             delay, failure, code = again.delay, again.failure, again.code
+        except Rejected as rejected:
+            hint = _hint(rejected.code, url) if hints is None else hints.get(rejected.code, "")
+            raise Rejected(f"{rejected}{hint}", rejected.code, rejected.complaint) from None
         attempt += 1
         if attempt == attempts or (code is not None and code not in retryable):
             raise failure
@@ -207,7 +212,7 @@ def _judge(response: "Response", text: str, url: str, secrets: list[str]) -> Any
         raise _Again(Unanswered("unreachable", message), _asked_delay(response, body), code)
     if code >= 500:
         raise Unanswered("unreachable", message)
-    raise Rejected(message + _hint(code, url), code, _quoted(complaint, secrets, 1000))
+    raise Rejected(message, code, _quoted(complaint, secrets, 1000))
 
 
 def _hint(code: int, url: str) -> str:
