@@ -259,6 +259,23 @@ def test_pickled_dictionaries_are_not_loaded_and_how_to_convert_them_is_said_and
         FileProposer(File(str(path)))
 
 
+def test_what_is_missing_or_too_much_is_named(tmp_path):
+    with pytest.raises(InputError, match="!File lacks its path"):
+        FileProposer(File())
+    path = tmp_path / "g.npz"
+    np.savez(path, **document(), extra=np.array(_Trap(), dtype=object))
+    with pytest.raises(InputError, match=r"beside its poses and scores; valid: it without extra$"):
+        FileProposer(File(str(path)))
+    with pytest.raises(InputError, match="no use for 'more', leave it out"):
+        FileProposer(File(str(write_npz(path, document(more=np.zeros(2))))))
+    write_npz(path, document(frame=None, gripper=None))
+    with pytest.raises(InputError, match="does not say its frame") as caught:
+        FileProposer(File(str(path)))
+    text = str(caught.value).partition("--scenario-text '")[2].rstrip("'")
+    config = parse_scenario(text, "text", Scenario()).pipeline.proposer
+    assert len(FileProposer(config).document.scores) == 2
+
+
 def _member(path, data, name="poses.npy", method=zipfile.ZIP_DEFLATED):
     with zipfile.ZipFile(path, "w", method) as archive:
         archive.writestr(name, data)

@@ -165,6 +165,11 @@ def test_what_it_says_of_the_scene_is_passed_on_as_it_is(install):
         proposed(name="highest")
 
 
+def test_a_plugin_without_a_name_is_told_so():
+    with pytest.raises(InputError, match="!Plugin lacks its name"):
+        proposed()
+
+
 def test_grasps_beside_what_is_seen_are_refused_by_the_packages_name(install):
     install(MODULE.replace("- [0, 0, self", "+ [0.5, 0, self"))
     with pytest.raises(NoGrasp, match=rf"{WHO}: 1 of the 1 grasps have nothing .*'world'.*'G'"):

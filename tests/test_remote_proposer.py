@@ -521,6 +521,12 @@ BAD = {
     "no pose": (lambda b: {**b, "X_WC": None}, "X_WC"),
     "a mirror": (lambda b: {**b, "X_WC": np.diag([1, 1, -1, 1]).tolist()}, "no rigid transform"),
     "a workspace": (lambda b: {**b, "workspace": {"lower": [0]}}, "lower must be finite"),
+    "texts": (lambda b: _change(b, "camera", width="640"), "width is missing or no numbers"),
+    "truth": (lambda b: _change(b, "camera", fx=True), "fx is missing or no numbers"),
+    "truth in a list": (
+        lambda b: _change(b, "workspace", lower=[True, 0.0, 0.0]), "lower is missing or no numbers",
+    ),
+    "upside down": (lambda b: _change(b, "workspace", lower=[0, 0, 9.0]), "is above upper"),
     "a seed": (lambda b: {**b, "seed": -1}, "seed is -1"),
     "half a seed": (lambda b: {**b, "seed": 0.5}, "seed is 0.5"),
 }  # fmt: skip

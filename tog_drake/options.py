@@ -234,6 +234,11 @@ class ProposerOptions:
             _put(config, PROPOSERS[name], **{_PLACES[name]: place})
         elif given in PROPOSERS and given not in _PLACES:
             _put(config, PROPOSERS[given])
+        elif name in _PLACES and given == f"{name}:":
+            field = _PLACES[name]
+            raise InputError(
+                f"--proposer {given!r} lacks its {field}; valid: {name}:{field.upper()}"
+            )
         elif given in plugin_names():
             if not isinstance(config.proposer, Plugin) or config.proposer.name != given:
                 config.proposer = Plugin(given)

@@ -51,12 +51,18 @@ class FileProposer:
     """
 
     def __init__(self, config: File):
+        if not config.path:
+            raise InputError("!File lacks its path; valid: !File {path: FILE}, a JSON or NPZ file")
         self._path = Path(config.path)
         try:
             content = _content(self._path)
             self._document = read_document(content, frame=config.frame, gripper=config.gripper)
         except BadDocument as error:
-            raise InputError(f"grasps cannot be read from {self._path}: {error}") from error
+            paste = ""
+            if "does not say its" in str(error):
+                fields = json.dumps({"path": str(self._path), "frame": "camera", "gripper": "G"})
+                paste = f"; such as --scenario-text 'pipeline: {{proposer: !File {fields}}}'"
+            raise InputError(f"grasps cannot be read from {self._path}: {error}{paste}") from error
 
     @property
     def document(self) -> Document:
@@ -127,6 +133,11 @@ def _read_npz(path: Path) -> Mapping[str, Any]:
         raise
     except Exception as error:  # of zipfile, of what it unpacks with, of NumPy's header
         raise BadDocument(f"it is no sound NPZ file ({error})") from error
+    if pickled and {"poses", "scores"} <= arrays.keys():
+        raise BadDocument(
+            f"it holds pickled objects beside its poses and scores; valid: it without "
+            f"{', '.join(pickled)}"
+        )
     if pickled:
         raise BadDocument(_convert(path, pickled))
     return arrays

@@ -96,7 +96,8 @@ def read_document(
     """
     unknown = [str(name)[:40] for name in content if name not in NAMES]
     if unknown:
-        raise BadDocument(f"it has no use for {unknown[0]!r}; valid: {', '.join(NAMES)}")
+        valid = ", ".join(NAMES)
+        raise BadDocument(f"it has no use for {unknown[0]!r}, leave it out; valid: {valid}")
     frame, gripper = _said(content, "frame", frame), _said(content, "gripper", gripper)
     count: int | None = None
     arrays: dict[str, Array | None] = {}

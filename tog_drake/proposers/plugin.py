@@ -61,6 +61,8 @@ class PluginProposer:
     """
 
     def __init__(self, config: Plugin, workspace: Workspace, seed: int):
+        if not config.name:
+            raise InputError("!Plugin lacks its name; valid: !Plugin {name: NAME}")
         entry = _entry(config.name)
         self._who = f"the proposer {config.name!r} of {_package(entry)}"
         kind = self._call("cannot be imported", entry.load)

@@ -153,6 +153,10 @@ def _read_workspace(body: Mapping[str, Any]) -> Workspace:
         raise BadRequest("workspace must be an object with lower, upper, table_height")
     lower, upper = _read_numbers(given, "lower", (3,)), _read_numbers(given, "upper", (3,))
     height = float(_read_numbers(given, "table_height", ()))
+    if (lower > upper).any():
+        raise BadRequest(
+            f"workspace: lower {lower.tolist()} is above upper {upper.tolist()}; valid: at most it"
+        )
     return Workspace(lower.tolist(), upper.tolist(), height)
 
 
@@ -192,12 +196,22 @@ def _read_array(
 
 def _read_numbers(body: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     try:
-        array = np.array(body[name], np.float64)
+        given = np.array(body[name])
+        if given.dtype.kind not in "iuf" or not _all_numbers(body[name]):
+            raise TypeError("texts and truth values are no numbers")
+        array = given.astype(np.float64)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadRequest(f"{name} is missing or no numbers") from error
     if array.shape != shape or not np.isfinite(array).all():
         raise BadRequest(f"{name} must be finite numbers of shape {shape}, not {array.shape}")
     return array
+
+
+def _all_numbers(value: Any) -> bool:
+    """Whether there are only numbers in a list of lists; of true beside 1.0 NumPy makes 1.0."""
+    if isinstance(value, list):
+        return all(map(_all_numbers, value))
+    return type(value) in (int, float)
 
 
 def _brief(value: Any) -> str:

@@ -61,6 +61,7 @@ class ProposerServer(ThreadingHTTPServer):
         self.answerer, self.say = answerer, say
         self._propose = propose
         self._turn = threading.Lock()
+        self.parsing = threading.Lock()  # JSON takes several times the memory of its bytes
         self._places = threading.BoundedSemaphore(MAX_CLIENTS)
         super().__init__(address, _Handler)
 
@@ -151,7 +152,8 @@ class _Handler(BaseHTTPRequestHandler):
             # A page in a browser on this machine can send other types without being asked.
             raise _Refused(415, "Content-Type must be application/json")
         try:
-            return read_request(json.loads(data))
+            with self.server.parsing:
+                return read_request(json.loads(data))
         except BadRequest as error:
             raise _Refused(400, str(error)) from None
         except (ValueError, RecursionError):
