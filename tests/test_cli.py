@@ -549,7 +549,21 @@ def test_eval_stops_where_the_server_that_proposes_grasps_is_no_use(monkeypatch,
     done = tog("eval", *remote, "--scenarios", "Mug", "--seeds", 3, "--out", tmp_path)
     assert (done.status, len(ran)) == (2, 2)
     assert done.err.splitlines()[-1].endswith("the rest is not run: no grasps from http://gpu:1/x")
+    assert "of 3 episodes, those that ended before the trouble:" in done.out
+    (row,) = [line.split() for line in done.out.splitlines() if " Mug " in line]
+    assert row[5:9] == ["1", "│", "1", "│"], row  # the lost one is no failure
     assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
+
+
+def test_eval_says_who_proposed_where_it_is_not_the_usual_one(monkeypatch, tmp_path):
+    by = {"kind": "remote", "url": "http://gpu:1/x"}
+    _as_models_do(monkeypatch, {**_episode("Mug", "oracle", "lifted"), "proposer": by})
+    mug = ("--selectors", "oracle", "--tasks", "use", "--scenarios", "Mug", "--seeds", 1)
+    done = tog("eval", *mug, "--out", tmp_path)
+    assert done.status == 0, done.err
+    assert done.out.index("proposer: remote:http://gpu:1/x") < done.out.index("scenario")
+    _as_models_do(monkeypatch, _episode("Mug", "oracle", "lifted"))
+    assert "proposer:" not in tog("eval", *mug, "--out", tmp_path).out
 
 
 def _asked(outcome, status, fallback=None, message=""):

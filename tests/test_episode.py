@@ -4,7 +4,9 @@ import re
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
+from tiny_meshes import write_box_obj
 
+from tog_drake.assets.importing import ImportOptions, import_mesh
 from tog_drake.episode import build_world, load_objects, run_episode
 from tog_drake.errors import InputError
 from tog_drake.pipeline import decide
@@ -155,6 +157,20 @@ def test_a_target_buried_under_something_else_is_no_grasp_and_says_that_it_is_hi
     assert record["feasible_by_part"] == {"handle": 0, "shaft": 0}
     assert record["grasp_success"] is record["strict_success"] is False
     assert record["collisions"] is record["turned"] is None
+
+
+def test_an_object_without_labels_is_lifted_and_nothing_is_said_of_its_parts(tmp_path, monkeypatch):
+    monkeypatch.setenv("TOG_ASSETS", str(tmp_path))
+    mesh = write_box_obj(tmp_path / "stick.obj", size=0.04)
+    import_mesh(mesh, "stick", ImportOptions(mass=0.1))
+    scenario = load_scenario("Tog29", "{asset: stick, pipeline: {selector: !TopScore {}}}")
+    record = run_episode(scenario, name="Tog29", task="hand me the stick", target="stick").record
+    assert (record["outcome"], record["object"]) == ("lifted", "stick"), record["message"]
+    assert record["held"] == {"unlabelled": 1.0}
+    assert record["task_compliance"] is record["combined_success"] is record["allowed"] is None
+    oracle = load_scenario("Tog29", "{asset: stick, pipeline: {selector: !Oracle {}}}")
+    with pytest.raises(InputError, match=r"stick has none.*tog assets label stick"):
+        build_world(oracle)
 
 
 def test_what_the_scenario_lacks_is_said_with_what_it_has():

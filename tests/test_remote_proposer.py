@@ -255,7 +255,7 @@ def test_who_proposed_is_what_the_server_says_and_is_shown_as_that(scene, grasps
     assert "does not say what proposes there" in line
     assert "does not say what proposes there" in page
     assert "answered_by" not in shown["own"][0]
-    assert not shown["own"][1]
+    assert shown["own"][1] == "proposer: remote:http://gpu:8001/propose\n"
 
 
 def remote_again(port):
@@ -618,6 +618,15 @@ def test_a_server_for_others_says_that_anybody_can_use_it(unheard):
     assert "http://127.0.0.1:8001/propose" in at_home.out
     assert "anybody" not in at_home.out
     assert "anybody who reaches 0.0.0.0 on the network can use it" in for_all.out
+
+
+def test_a_server_takes_the_settings_of_its_proposer(unheard):
+    text = "{pipeline: {proposer: !Antipodal {yaws: %s}}}"
+    done = tog("serve", "proposer", "--scenario-text", text % 2)
+    assert done.status == 0, done.err
+    assert "proposer antipodal: " in done.out
+    refused(tog("serve", "proposer", "--scenario-text", text % 0), "yaws at least 1")
+    refused(tog("serve", "proposer", "--scenario-text", "{pipe: 1}"), "--scenario-text", "pipe")
 
 
 def test_a_server_says_whose_weights_it_has(unheard, tmp_path):

@@ -149,6 +149,8 @@ def test_of_a_network_it_says_which_weights_it_had():
     record = make_record(proposer={"kind": "contact-graspnet", "weights": weights})
     page = report_html([EpisodeReport(record)])
     assert "contact-graspnet proposer, weights: not the &lt;released&gt; ones" in page
+    remote = make_record(proposer={"kind": "remote", "url": "http://gpu:1/x"})
+    assert "remote:http://gpu:1/x proposer" in report_html([EpisodeReport(remote)])
     assert "weights:" not in report_html([EpisodeReport(make_record())])
 
 

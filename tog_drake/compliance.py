@@ -58,7 +58,8 @@ class PartLabels:
         Args:
             plant: whose free bodies are the objects.
             scene_graph: where it has its geometries.
-            objects: the labels of those that have any, by model instance.
+            objects: the labels of those that have any, by model instance; those of others may
+                have no parts.
 
         Raises:
             InputError: if a labelled object has a collision geometry without a part.
@@ -79,7 +80,7 @@ class PartLabels:
                     surfaces[geometry] = labelled_surface(model, core, regions, index)
                 elif name.startswith(f"{SKIN}_"):
                     continue  # no pad touches it
-                elif labels is None:
+                elif labels is None or not labels.part_words:
                     part_of[geometry] = (model, UNLABELLED)
                 elif name not in labels.geometries:
                     raise InputError(

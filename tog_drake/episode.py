@@ -14,11 +14,12 @@ from tog_drake.compliance import PartLabels
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict
-from tog_drake.object_parts import ObjectParts, labels_file, load_parts
+from tog_drake.object_parts import ObjectParts, labels_file, load_parts, unlabelled
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
+from tog_drake.selectors.oracle import Oracle
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Exchange, Grasps
 from tog_drake.visualization import draw_decision, replay_html
@@ -55,6 +56,28 @@ def load_objects(scenario: Scenario) -> dict[str, ObjectParts]:
     return {name: load_parts(path) for name, path in files.items() if path is not None}
 
 
+def _objects_of_tasks(scenario: Scenario, wanted: str | None) -> dict[str, ObjectParts]:
+    """The objects that a task may be about, by model instance.
+
+    They are those with labels. One without is among them where it is named, or where no object has
+    any: it can be lifted, but nobody can say whether the part that is held suits the task.
+    """
+    labelled = load_objects(scenario)
+    others = {name: unlabelled(name) for name in model_files(scenario) if name not in labelled}
+    if wanted in others:
+        return {**labelled, wanted: others[wanted]}
+    return labelled or others
+
+
+def _check_target(scenario: Scenario, objects: dict[str, ObjectParts], target: str) -> None:
+    if isinstance(scenario.pipeline.selector, Oracle) and not objects[target].part_words:
+        raise InputError(
+            f"selector oracle reads part labels, and {target} has none (no parts.yaml beside its "
+            "model); valid: another selector; of an imported object `tog assets label "
+            f"{target}` says where they belong"
+        )
+
+
 def build_world(
     scenario: Scenario,
     *,
@@ -72,10 +95,12 @@ def build_world(
         meshcat: where to draw, if anywhere.
 
     Raises:
-        InputError: if the scenario does not hold the camera or the target.
+        InputError: if the scenario does not hold the camera or the target, or the oracle is to
+            read labels that the target has not.
     """
-    objects = load_objects(scenario)
+    objects = _objects_of_tasks(scenario, target)
     target = _find_target(objects, target, task)
+    _check_target(scenario, objects, target)
     camera = scenario.pipeline.camera
     cameras = camera_configs(scenario)
     if camera not in cameras:
@@ -90,6 +115,8 @@ def build_world(
         )
     except RuntimeError as error:  # so Drake refuses a joint, frame, file or setting
         raise InputError(f"the scenario cannot be built: {error}") from error
+    if not _is_free(station, target):
+        raise InputError(f"{target} is fixed in the scenario, so that nothing can lift it")
     labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
     pipeline = GraspPipeline(
         scenario.pipeline,
@@ -289,7 +316,7 @@ def _find_target(objects: dict[str, ObjectParts], wanted: str | None, task: str)
     """
     valid = ", ".join(objects)
     if not objects:
-        raise InputError("the scenario holds no labelled object (one with a parts.yaml)")
+        raise InputError("the scenario holds no object; give it an add_model or an asset")
     if wanted is None:
         named = list(objects) if len(objects) == 1 else _named(objects, task)
         if len(named) != 1:
@@ -305,6 +332,12 @@ def _find_target(objects: dict[str, ObjectParts], wanted: str | None, task: str)
     if len(same) != 1:
         raise InputError(f"unknown object {wanted!r}; valid: {valid}")
     return same[0]
+
+
+def _is_free(station: SimulationStation, target: str) -> bool:
+    plant = station.plant
+    free = (plant.get_body(index).model_instance() for index in plant.GetFloatingBaseBodies())
+    return target in map(plant.GetModelInstanceName, free)
 
 
 def _named(objects: dict[str, ObjectParts], task: str) -> list[str]:

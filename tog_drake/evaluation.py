@@ -26,6 +26,14 @@ DEFAULT = SelectorOptions()
 OF_SCENARIO = ProposerOptions()
 
 
+class Stopped(TogError):
+    """The rest is not run; ``records`` are of the episodes before the one that told why."""
+
+    def __init__(self, message: str, records: Sequence[EpisodeRecord]):
+        super().__init__(message)
+        self.records = records
+
+
 def evaluate(
     cells: Sequence[Cell],
     *,
@@ -50,9 +58,10 @@ def evaluate(
 
     Raises:
         InputError: a model cannot be asked so; nothing has been run then.
-        TogError: if an episode cannot be run at all, naming it, or the server does not take the
-            questions (a wrong key, a wrong model): every further episode would end likewise. Or
-            the server that proposes grasps gave none that can be used: that tells of no method.
+        TogError: if an episode cannot be run at all, naming it.
+        Stopped: the server does not take the questions (a wrong key, a wrong model): every further
+            episode would end likewise. Or the server that proposes grasps gave none that can be
+            used: that tells of no method.
     """
     for cell in {(cell.scenario, cell.selector): cell for cell in cells}.values():
         _configured(cell, options, proposer)
@@ -68,26 +77,29 @@ def evaluate(
     ):
         bar = progress.add_task("episodes", total=len(cells))
         for judged in results:
-            records += judged
             file.write("".join(json.dumps(record) + "\n" for record in judged))
             file.flush()
-            _check_taken(judged[0])
+            _check_taken(judged[0], records)
+            records += judged
             progress.advance(bar)
     return records
 
 
-def _check_taken(record: EpisodeRecord) -> None:
-    """Raises TogError where a server did not take a question, or proposed nothing of use."""
+def _check_taken(record: EpisodeRecord, before: Sequence[EpisodeRecord]) -> None:
+    """Raises Stopped where a server did not take a question, or proposed nothing of use."""
     if record["outcome"] == NoProposal.outcome:
-        raise TogError(
-            f"{record['scenario']}, seed {record['seed']}: the rest is not run: {record['message']}"
+        raise Stopped(
+            f"{record['scenario']}, seed {record['seed']}: the rest is not run: "
+            f"{record['message']}",
+            before,
         )
     vlm = record["vlm"]
     if vlm is not None and vlm["status"] == "rejected":
         said = [record["message"] or "", *(e["message"] for e in vlm["exchanges"])]
-        raise TogError(
+        raise Stopped(
             f"{record['scenario']}, seed {record['seed']}: {vlm['model']} does not take the "
-            f"question, so the rest is not run: {said[-1]}"
+            f"question, so the rest is not run: {said[-1]}",
+            before,
         )
 
 

@@ -51,6 +51,11 @@ class ObjectParts:
         )
 
 
+def unlabelled(name: str) -> ObjectParts:
+    """What is known of an object of that name without labels: no task says where to hold it."""
+    return ObjectParts(name, (name.replace("_", " "),), geometries={}, part_words={}, tasks={})
+
+
 def load_parts(path: Path) -> ObjectParts:
     """Reads a ``parts.yaml`` (its form is described in ``models/README.md``).
 

@@ -139,7 +139,7 @@ def new_record(
         grip_force=None,
         object_friction=None,
         proposer=_proposer_record(decision, config) | _answered_by(grasps),
-        selector=_kind_and_settings(config.selector),
+        selector=kind_and_settings(config.selector),
         counts=counts,
         rejected=dict(rejected),
         choice=_choice_record(decision),
@@ -165,13 +165,13 @@ def new_record(
 
 
 def _proposer_record(decision: Decision, config: PipelineConfig) -> dict[str, Any]:
-    record = _kind_and_settings(config.proposer)
+    record = kind_and_settings(config.proposer)
     if decision.weights is not None:
         record["weights"] = dict(decision.weights)
     return record
 
 
-def _kind_and_settings(config: Any) -> dict[str, Any]:
+def kind_and_settings(config: Any) -> dict[str, Any]:
     """What the config of a proposer or selector says, and its kind as the command spells it."""
     known = {**PROPOSERS, **SELECTORS}
     tag = type(config)
@@ -189,6 +189,14 @@ def _answered_by(grasps: Grasps | None) -> dict[str, Any]:
     if not isinstance(grasps, AnsweredGrasps):
         return {}
     return {"answered_by": None if grasps.answerer is None else asdict(grasps.answerer)}
+
+
+def proposer_name(proposer: Mapping[str, Any]) -> str:
+    """Returns who proposed, of a record's ``proposer``, as ``--proposer`` spells it."""
+    if proposer["kind"] == "plugin":
+        return str(proposer["name"])
+    place = proposer.get("path") or proposer.get("url")
+    return f"{proposer['kind']}:{place}" if place else str(proposer["kind"])
 
 
 def selector_name(record: EpisodeRecord) -> str:

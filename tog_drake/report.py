@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
 from tog_drake.pipeline import STAGES
-from tog_drake.record import usage
+from tog_drake.record import proposer_name, usage
 from tog_drake.values import Exchange, GraspMotion, View
 from tog_drake.visible_text import visible
 
@@ -88,6 +88,7 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
     return {
         "record": record,
         "held": _held(record["held"]),
+        "proposer": proposer_name(record["proposer"]) if record["proposer"] else None,
         "json": json.dumps(_shown(dict(episode.record)), indent=2, ensure_ascii=False, default=str),
         "rgb": None if view is None else _data_url(view.rgb),
         "depth": None if view is None else _data_url(depth_image(view.depth)),

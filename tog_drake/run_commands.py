@@ -1,8 +1,9 @@
 """The commands that run the pipeline: ``tog run``, ``demo``, ``choose`` and ``eval``."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,7 +37,10 @@ from tog_drake.terminal import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from tog_drake.pipeline import PipelineConfig
+    from tog_drake.record import EpisodeRecord
 
 DEMO_TASKS = {
     "use": "use the hammer to drive a nail",
@@ -227,11 +231,9 @@ def evaluate_(
     as_json: JsonOption = False,
 ) -> None:
     """Run objects, seeds and tasks with each selector, and print the table of successes."""
-    from tog_drake.evaluation import evaluate
+    from tog_drake.evaluation import Stopped, evaluate
     from tog_drake.pipeline import SELECTORS
     from tog_drake.selectors.oracle import ORACLE_NOTE
-    from tog_drake.suite import rows_of_suites
-    from tog_drake.summary import agreement, failures, summarize
 
     console = console_for(as_json)
     check_folder(out)
@@ -244,18 +246,37 @@ def evaluate_(
             "--selectors"
         )
     cells = suite.cells(scenarios, chosen)
-    records = evaluate(
-        cells,
-        workers=suite.workers,
-        out=out,
-        console=console,
-        options=options,
-        proposer=proposer,
-    )
+    try:
+        records = evaluate(
+            cells,
+            workers=suite.workers,
+            out=out,
+            console=console,
+            options=options,
+            proposer=proposer,
+        )
+    except Stopped as stopped:
+        if stopped.records:
+            say(console, f"of {len(cells)} episodes, those that ended before the trouble:")
+            _print_successes(console, stopped.records, scenarios)
+        raise
+    found = _print_successes(console, records, scenarios)
+    if "oracle" in chosen:
+        say(console, f"oracle: {ORACLE_NOTE}")
+    print_json(as_json, found | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
+
+
+def _print_successes(
+    console: "Console", records: "Sequence[EpisodeRecord]", scenarios: str
+) -> "dict[str, Any]":
+    """Prints who proposed and the tables of what came of it; returns them for a program."""
+    from tog_drake.suite import rows_of_suites
+    from tog_drake.summary import agreement, failures, summarize
+
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)
-    print_rates(console, rows)
     print_origins(console, [record["proposer"] for record in records])
+    print_rates(console, rows)
     print_failures(console, failed)
     say(
         console,
@@ -263,7 +284,4 @@ def evaluate_(
         f"{same['n']} lifts; where both are four fifths one part, in {same['clear_agree']} of "
         f"{same['clear']}",
     )
-    if "oracle" in chosen:
-        say(console, f"oracle: {ORACLE_NOTE}")
-    found = {"rows": rows, "failures": failed, "agreement": same}
-    print_json(as_json, found | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
+    return {"rows": rows, "failures": failed, "agreement": same}

@@ -28,26 +28,34 @@ def _serve() -> None:
 def proposer(
     *,
     options: ProposerOptions,
+    scenario_text: Annotated[
+        str | None,
+        typer.Option(
+            help="YAML with the proposer's settings, such as "
+            "{pipeline: {proposer: !ContactGraspNet {regions: local}}}."
+        ),
+    ] = None,
     host: Annotated[
         str, typer.Option(help="Where to listen; 0.0.0.0 is every network of this machine.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free one.")] = 8001,
 ) -> None:
     """Propose grasps to `--proposer remote:URL` elsewhere, until Ctrl-C."""
-    from tog_drake.pipeline import PipelineConfig, make_proposer
+    from tog_drake.pipeline import make_proposer
     from tog_drake.proposer import weights_of
     from tog_drake.proposers.answered import answerer_of
     from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet
     from tog_drake.proposers.serving import ProposerServer
+    from tog_drake.record import kind_and_settings, proposer_name
+    from tog_drake.scenario import Scenario, parse_scenario
     from tog_drake.urls import is_loopback
 
     console = console_for(as_json=False)
-    config = PipelineConfig()
+    config = parse_scenario(scenario_text or "{}", "--scenario-text", Scenario()).pipeline
     options.apply(config)
-    name = options.proposer or ("antipodal" if options.checkpoint is None else "contact-graspnet")
-    weights = None
-    if isinstance(config.proposer, ContactGraspNet):
-        weights = weights_of(make_proposer(config, seed=0))
+    made = make_proposer(config, seed=0)  # hears what is wrong before anybody asks
+    name = proposer_name(kind_and_settings(config.proposer))
+    weights = weights_of(made) if isinstance(config.proposer, ContactGraspNet) else None
     try:
         server = ProposerServer(
             (host, port),

@@ -141,7 +141,15 @@ def print_weights(console: Console, weights: "Mapping[str, Any] | None") -> None
 
 
 def print_origins(console: Console, proposers: "Sequence[Mapping[str, Any]]") -> None:
-    """What records say of whose weights proposed, each once: of a server, in its own words."""
+    """What records say of who proposed, where it was not the usual one, and of whose weights.
+
+    Each is said once: of a server, in its own words.
+    """
+    from tog_drake.record import proposer_name
+
+    unusual = [p for p in proposers if p["kind"] != "antipodal" and "answered_by" not in p]
+    for name in dict.fromkeys(map(proposer_name, unusual)):
+        say(console, f"proposer: {name}")
     weights: dict[str, Any] = {}
     for proposer in proposers:
         if "weights" in proposer:
