@@ -139,7 +139,7 @@ BAD = {
         (*RUN, "--scenario-text", "cameras: {wrist: !L515 {resolution: 8x8}}"),
         ["'8x8'", "640x480", "1280x720"],
     ),
-    "no object": ((*RUN, "--scenario-text", "directives: []"), ["no labelled object"]),
+    "no object": ((*RUN, "--scenario-text", "directives: []"), ["holds no object", "add_model"]),
     "empty task": (("run", "--task", ""), ["no words", "hand me the hammer"]),
     "blank task": (("run", "--task", "  "), ["no words"]),
     "task without a word": (("run", "--task", "?!"), ["'?!'", "no words"]),
