@@ -98,10 +98,15 @@ def modulus_of(inspector: SceneGraphInspector, geometry: GeometryId) -> float:
     )
 
 
-def _make_compliant(plant: MultibodyPlant, scene_graph: SceneGraph, geometry: GeometryId) -> None:
-    before = scene_graph.model_inspector().GetProximityProperties(geometry)
-    after = ProximityProperties()
+def material_of(inspector: SceneGraphInspector, geometry: GeometryId) -> ProximityProperties:
+    """What remains of a geometry's properties without those of hydroelastic contact."""
+    before, after = inspector.GetProximityProperties(geometry), ProximityProperties()
     for name, value in before.GetPropertiesInGroup("material").items():
         after.AddProperty("material", name, value.get_value())
+    return after
+
+
+def _make_compliant(plant: MultibodyPlant, scene_graph: SceneGraph, geometry: GeometryId) -> None:
+    after = material_of(scene_graph.model_inspector(), geometry)
     AddCompliantHydroelasticProperties(_RESOLUTION, MODULUS, after)
     scene_graph.AssignRole(plant.get_source_id(), geometry, after, RoleAssign.kReplace)

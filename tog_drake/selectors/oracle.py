@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.compliance import PartLabels
 from tog_drake.errors import NoChoice, NoGrasp
+from tog_drake.labelled_surface import Shares
 from tog_drake.selector import choose
 from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, View
 
@@ -25,8 +26,6 @@ _ENOUGH = 0.8  # ... and the least share that is taken; where none is sure, the 
 _SLIDE = 0.006  # [m] that pads may slide on a scanned object
 _MOSTLY = 0.5  # share of the closing region from which a grasp is one of the target
 _SEEN = 0.004  # [m] a point of the cloud belongs to the object that is not farther than this
-
-Region = dict[tuple[str, str], float]  # (model instance, part) -> share of a closing region
 
 
 @dataclass
@@ -141,12 +140,12 @@ def choose_by_labels(
     return choose(index, view, candidates, reason, part=part, worth=worth)
 
 
-def _share(regions: list[Region], parts: Set[tuple[str, str]]) -> Array:
+def _share(regions: list[Shares], parts: Set[tuple[str, str]]) -> Array:
     """The share of each closing region that lies on ``parts``, (N,)."""
     return np.array([sum(share for part, share in r.items() if part in parts) for r in regions])
 
 
-def _on(target: str, regions: list[Region]) -> NDArray[np.bool_]:
+def _on(target: str, regions: list[Shares]) -> NDArray[np.bool_]:
     """Which closing regions lie mostly on the target, (N,)."""
     parts = {part for region in regions for part in region if part[0] == target}
     return np.asarray(_share(regions, parts) > _MOSTLY)
