@@ -15,7 +15,8 @@ import typer
 import yaml
 from command import refused, tog
 
-from tog_drake import cli, evaluation, summary
+from tog_drake import cli, evaluation
+from tog_drake.benchmark import tables
 from tog_drake.cells import CLUTTER, SCANNED, make_cells, scenario_names, scenario_of
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
@@ -576,10 +577,10 @@ def _asked(outcome, status, fallback=None, message=""):
 
 def test_why_there_was_no_choice_and_what_the_fallback_did_is_in_the_table():
     failed = [_asked("no_choice", s) for s in ("refused", "unreachable", "unreachable")]
-    (row, _) = summary.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
+    (row, _) = tables.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
     assert row["failures"] == "3 no_choice (unreachable 2, refused 1), 1 slipped"
     replaced = [_asked("lifted", "timed_out", "geometric"), _asked("empty", "empty", "geometric")]
-    (row, _) = summary.summarize([*replaced, _asked("lifted", "ok")])
+    (row, _) = tables.summarize([*replaced, _asked("lifted", "ok")])
     assert row["failures"] == "1 empty, by fallback 2 (timed_out 1, empty 1)"
 
 
@@ -619,7 +620,7 @@ def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
         _episode("Mug", "random", "no_grasp", compliance=False, seed=1),
         _episode("Hammer", "oracle", "lifted"),
     ]
-    rows = {(r["selector"], r["scenario"]): r for r in summary.summarize(records)}
+    rows = {(r["selector"], r["scenario"]): r for r in tables.summarize(records)}
     assert list(rows) == [
         ("random", "Hammer"), ("random", "Mug"), ("random", "all"),
         ("oracle", "Hammer"), ("oracle", "all"),
@@ -639,13 +640,13 @@ def test_an_episode_that_serves_two_tasks_is_one_grasp():
         _episode("Hammer", "top-score", "lifted", compliance=False),
         _episode("Hammer", "top-score", "empty", compliance=False, seed=1),
     ]
-    row, _ = summary.summarize(records)
+    row, _ = tables.summarize(records)
     assert (row["n"], row["tasks"]) == (2, 3)
     assert (row["grasp"], row["both"], row["failures"]) == (0.5, 1 / 3, "1 empty")
 
 
 def test_intervals_are_wilsons():
     # Worked by hand: (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n), p = 0.9, n = 10, z = 1.96.
-    low, high = summary.wilson(9, 10)
+    low, high = tables.wilson(9, 10)
     assert (low, high) == pytest.approx((0.5958, 0.9821), abs=1e-4)
-    assert summary.wilson(10, 10)[1] == 1.0
+    assert tables.wilson(10, 10)[1] == 1.0

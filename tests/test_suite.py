@@ -4,11 +4,11 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from tog_drake.benchmark.tables import agreement, failures, summarize
 from tog_drake.cells import make_cells
 from tog_drake.errors import InputError
 from tog_drake.scenario import load_scenario
 from tog_drake.suite import SCENARIO, load_suite, object_labels, rows_of_suites, suite_files
-from tog_drake.summary import agreement, failures, summarize
 
 TRIALS = load_suite(suite_files()["tog29"])
 LION, MUG = "gso_Schleich_Lion_Action_Figure", "ycb_025_mug"

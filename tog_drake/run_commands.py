@@ -270,8 +270,8 @@ def _print_successes(
     console: "Console", records: "Sequence[EpisodeRecord]", scenarios: str
 ) -> "dict[str, Any]":
     """Prints who proposed and the tables of what came of it; returns them for a program."""
+    from tog_drake.benchmark.tables import agreement, failures, summarize
     from tog_drake.suite import rows_of_suites
-    from tog_drake.summary import agreement, failures, summarize
 
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)

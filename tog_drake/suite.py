@@ -7,12 +7,12 @@ from typing import Any
 
 from tog_drake.assets.library import library_dir
 from tog_drake.assets.model import MODEL
+from tog_drake.benchmark.tables import rows_by_scenario
 from tog_drake.errors import InputError
 from tog_drake.files import read_yaml
 from tog_drake.object_parts import ObjectParts, labels_file, load_parts
 from tog_drake.record import EpisodeRecord
 from tog_drake.resources import resource_dir
-from tog_drake.summary import rows_by_scenario
 
 PAPER = ("position", "use", "handover")
 """The paper's categories: specific position, tool use, handover."""

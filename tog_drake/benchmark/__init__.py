@@ -1,0 +1,1 @@
+"""The benchmark: suites of trials, their episodes, and the tables of what came of them."""
