@@ -17,7 +17,7 @@ from command import refused, tog
 
 from tog_drake import cli, evaluation
 from tog_drake.benchmark import tables
-from tog_drake.cells import CLUTTER, SCANNED, make_cells, scenario_names, scenario_of
+from tog_drake.benchmark.cells import CLUTTER, SCANNED, make_cells, scenario_names, scenario_of
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import scenario_files

@@ -9,9 +9,9 @@ from scans import scanned_bar
 from tog_drake.assets.labelling import labelled_faces
 from tog_drake.assets.mesh import read_mesh, solid_of
 from tog_drake.assets.surface import face_areas
+from tog_drake.benchmark.suite import object_labels
 from tog_drake.contact_sheet import PART_COLORS
 from tog_drake.regions import region_of
-from tog_drake.suite import object_labels
 
 LABELS = """
 object: bar

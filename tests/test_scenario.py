@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scans import scanned_bar
 
-from tog_drake.cells import CLUTTER, SCANNED
+from tog_drake.benchmark.cells import CLUTTER, SCANNED
+from tog_drake.benchmark.suite import object_labels
 from tog_drake.errors import InputError
 from tog_drake.pipeline import Antipodal, Oracle, Random
 from tog_drake.scenario import (
@@ -18,7 +19,6 @@ from tog_drake.scenario import (
     sampled_directives,
     scenario_files,
 )
-from tog_drake.suite import object_labels
 
 
 def _parse(text):

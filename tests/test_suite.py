@@ -4,11 +4,17 @@ from dataclasses import replace
 import pytest
 import yaml
 
+from tog_drake.benchmark.cells import make_cells
+from tog_drake.benchmark.suite import (
+    SCENARIO,
+    load_suite,
+    object_labels,
+    rows_of_suites,
+    suite_files,
+)
 from tog_drake.benchmark.tables import agreement, failures, summarize
-from tog_drake.cells import make_cells
 from tog_drake.errors import InputError
 from tog_drake.scenario import load_scenario
-from tog_drake.suite import SCENARIO, load_suite, object_labels, rows_of_suites, suite_files
 
 TRIALS = load_suite(suite_files()["tog29"])
 LION, MUG = "gso_Schleich_Lion_Action_Figure", "ycb_025_mug"
@@ -142,7 +148,7 @@ def _episode(trial, outcome="lifted", selector="oracle", **rest):
 
 def test_the_table_of_a_suite_has_a_row_for_each_category_and_two_for_all(monkeypatch):
     beyond = replace(TRIALS[0], beyond="it is too wide")
-    monkeypatch.setattr("tog_drake.suite.load_suite", lambda path: [beyond, *TRIALS[1:]])
+    monkeypatch.setattr("tog_drake.benchmark.suite.load_suite", lambda path: [beyond, *TRIALS[1:]])
     records = [_episode(TRIALS[0], "no_choice"), *map(_episode, TRIALS[1:])]
     rows = {row["scenario"]: row for row in summarize(records, rows_of_suites(["tog29"]))}
     assert {name: row["tasks"] for name, row in rows.items()} == {

@@ -9,7 +9,7 @@ from command import refused, tog
 from test_replay import same
 from vlm_server import KEY, VlmServer
 
-from tog_drake.cells import Cell, cell_scenario
+from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.episode import build_world, look
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector

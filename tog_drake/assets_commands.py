@@ -136,7 +136,7 @@ def fetch(
 
 
 def _objects_of(suite: str) -> list[str]:
-    from tog_drake.suite import load_suite, suite_files
+    from tog_drake.benchmark.suite import load_suite, suite_files
 
     return [trial.object for trial in load_suite(valid(suite, suite_files(), "suite"))]
 

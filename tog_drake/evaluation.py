@@ -10,7 +10,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tog_drake.cells import Cell, cell_scenario
+from tog_drake.benchmark.cells import Cell, cell_scenario
+from tog_drake.benchmark.processes import in_processes
 from tog_drake.drawing import decision_image, encode_png
 from tog_drake.episode import Episode, load_objects, run_episode
 from tog_drake.errors import InputError, NoProposal, TogError
@@ -18,7 +19,6 @@ from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import ProposerOptions, SelectorOptions
-from tog_drake.processes import in_processes
 from tog_drake.record import EpisodeRecord
 from tog_drake.scenario import Scenario
 

@@ -16,7 +16,7 @@ from tog_drake.errors import InputError
 from tog_drake.files import check_file
 
 if TYPE_CHECKING:
-    from tog_drake.cells import Cell
+    from tog_drake.benchmark.cells import Cell
     from tog_drake.pipeline import PipelineConfig, ProposerConfig
     from tog_drake.selectors.vlm.selector import Vlm
 
@@ -286,7 +286,7 @@ class SuiteOptions:
 
     def cells(self, scenarios: str, selectors: Sequence[str]) -> "list[Cell]":
         """Returns the episodes; ``scenarios`` is comma-separated. Raises as ``make_cells``."""
-        from tog_drake.cells import make_cells, scenario_names
+        from tog_drake.benchmark.cells import make_cells, scenario_names
 
         return make_cells(
             scenario_names(names(scenarios)),

@@ -76,8 +76,8 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
+    from tog_drake.benchmark.cells import scenario_of
     from tog_drake.cameras import with_noise
-    from tog_drake.cells import scenario_of
     from tog_drake.episode import run_episode
     from tog_drake.record import save_record
     from tog_drake.report import write_report
@@ -270,8 +270,8 @@ def _print_successes(
     console: "Console", records: "Sequence[EpisodeRecord]", scenarios: str
 ) -> "dict[str, Any]":
     """Prints who proposed and the tables of what came of it; returns them for a program."""
+    from tog_drake.benchmark.suite import rows_of_suites
     from tog_drake.benchmark.tables import agreement, failures, summarize
-    from tog_drake.suite import rows_of_suites
 
     rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
     same = agreement(records)

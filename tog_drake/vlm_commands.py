@@ -27,7 +27,7 @@ from tog_drake.terminal import asking, console_for, print_json, say
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tog_drake.cells import Cell
+    from tog_drake.benchmark.cells import Cell
     from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
@@ -204,7 +204,7 @@ def _cell(
     task: str, scenario: str, object_: str | None, seed: int | None, suite: SuiteOptions
 ) -> "Cell":
     """Returns the one episode that is asked for; raises InputError where it makes no sense."""
-    from tog_drake.cells import Cell
+    from tog_drake.benchmark.cells import Cell
     from tog_drake.scenario import load_scenario
     from tog_drake.task import read_task
 

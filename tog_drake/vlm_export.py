@@ -13,12 +13,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from tog_drake.cells import Cell, cell_scenario
+from tog_drake.benchmark.cells import Cell, cell_scenario
+from tog_drake.benchmark.processes import in_processes
 from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import make_selector
-from tog_drake.processes import in_processes
 from tog_drake.scenario import Scenario
 from tog_drake.selector import Selector
 from tog_drake.selectors.geometric import Geometric

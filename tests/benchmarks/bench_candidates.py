@@ -6,8 +6,8 @@ Run by itself: ``pytest tests/benchmarks/bench_candidates.py``. It reads the sim
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from tog_drake.benchmark.cells import scenario_names
 from tog_drake.candidates import CandidatesConfig, pick_candidates
-from tog_drake.cells import scenario_names
 from tog_drake.episode import build_world
 from tog_drake.judge import COMPLIANT_SHARE
 from tog_drake.scenario import load_scenario

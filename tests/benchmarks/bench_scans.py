@@ -13,10 +13,10 @@ import pytest
 
 from tog_drake import episode
 from tog_drake.assets.library import asset_names
+from tog_drake.benchmark.suite import SCENARIO, load_suite, suite_files
 from tog_drake.judge import Judge
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.oracle import Oracle
-from tog_drake.suite import SCENARIO, load_suite, suite_files
 
 TASKS = {trial.object: trial.task for trial in reversed(load_suite(suite_files()["tog29"]))}
 """Of each object the first."""

@@ -9,8 +9,8 @@ from typing import Any
 from tog_drake.assets.importing import ImportOptions, import_mesh, name_for, sweep
 from tog_drake.assets.library import checked_name
 from tog_drake.assets.mesh import FORMATS
+from tog_drake.benchmark.processes import in_processes
 from tog_drake.errors import InputError, TogError
-from tog_drake.processes import in_processes
 
 METADATA = "metadata.json"
 MAX_METADATA_BYTES = 10_000_000

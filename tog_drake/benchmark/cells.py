@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tog_drake.assets.library import asset_names
+from tog_drake.benchmark.suite import SCENARIO, load_suite, suite_files
 from tog_drake.benchmark.tables import TASK_BLIND
 from tog_drake.cameras import with_noise
 from tog_drake.episode import load_objects
 from tog_drake.errors import InputError
 from tog_drake.object_parts import ObjectParts
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
-from tog_drake.suite import SCENARIO, load_suite, suite_files
 
 CLUTTER = ("Household", "Kitchen", "Tools")
 """The scenarios of several objects; every other one holds a single object."""
