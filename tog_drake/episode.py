@@ -2,6 +2,7 @@
 
 import re
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from pydrake.geometry import Meshcat
@@ -13,13 +14,14 @@ from tog_drake.cameras import noise_of
 from tog_drake.compliance import PartLabels
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
-from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict
+from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
 from tog_drake.object_parts import ObjectParts, labels_file, load_parts, unlabelled
 from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.selectors.oracle import Oracle
+from tog_drake.sharing import Execution, SharedWork, execution_key, look_key, world_key
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Exchange, Grasps
 from tog_drake.visualization import draw_decision, replay_html
@@ -141,6 +143,7 @@ def run_episode(
     task: str,
     target: str | None = None,
     meshcat: Meshcat | None = None,
+    shared: SharedWork | None = None,
 ) -> Episode:
     """Runs one episode: look, decide, move, lift, hold, and judge.
 
@@ -150,6 +153,8 @@ def run_episode(
         task: what a person said.
         target: as in ``build_world``.
         meshcat: where to draw and record, if anywhere.
+        shared: where other episodes may have done some of this work already. It does not serve
+            those that are shown, nor those that may look again (``retries``).
 
     Raises:
         InputError: if the scenario or the task cannot be used.
@@ -160,24 +165,36 @@ def run_episode(
         meshcat.StartRecording()
     simulator = look(world, scenario, task)
     context = simulator.get_mutable_context()
+    kept = None
+    if shared is not None and meshcat is None and scenario.pipeline.retries == 0:
+        kept = _Kept(shared, scenario, world, world_key(scenario, context))
     judge = Judge(world.station, world.labels, world.target)
     attempts: list[AttemptRecord] = []
     exchanges: tuple[Exchange, ...] = ()  # of the looks before this one
-    state, wall = None, 0.0
-    while state is None or state.phase is Phase.OBSERVE:
-        decision = decide(world.pipeline, context)
+    execution: Execution | None = None
+    wall = 0.0
+    while True:
+        decision = decide(world.pipeline, context) if kept is None else kept.decide(context)
         looked, between = context.get_time(), _parts_between_fingers(world, context, decision)
         attempts.append(attempt_record(decision))
         if meshcat is not None:
             _draw(meshcat, decision, world)
         if decision.error is not None:
             break
-        started = time.perf_counter()
-        state = _execute(simulator, world, judge)
-        wall += time.perf_counter() - started
-        attempts[-1]["opening"] = state.opening_after
-        if state.phase is Phase.OBSERVE:
-            exchanges += exchanges_of(decision)
+        execution = None if kept is None else kept.execution(decision)
+        if execution is None:
+            started = time.perf_counter()
+            state = _execute(simulator, world, judge)
+            wall += time.perf_counter() - started
+            attempts[-1]["opening"] = state.opening_after
+            if state.phase is Phase.OBSERVE:
+                exchanges += exchanges_of(decision)
+                continue
+            execution = _executed(world, context, judge.verdict(state, task), state, wall)
+            if kept is not None:
+                kept.keep(decision, execution)
+        attempts[-1]["opening"] = execution.opening
+        break
     record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
     record["scenario"] = name
     record["noise"] = noise_of(scenario.cameras[scenario.pipeline.camera]) is not None
@@ -191,23 +208,82 @@ def run_episode(
             record["closes_on"] = between[decision.motion.grasp_index]
     allowed = world.labels.objects[world.target].allowed(task)
     record["allowed"] = None if allowed is None else sorted(allowed)
-    if state is not None:
+    if execution is None and wall > 0.0:  # earlier attempts were carried out
         record["seconds"]["execute"] = wall
-        executed = context.get_time() - world.pipeline.executor.look_time
-        record["sim"]["real_time_rate"] = executed / wall
+        record["sim"]["real_time_rate"] = _since_look(world, context) / wall
         record["collisions"] = judge.collisions()
-    if state is not None and decision.error is None:
-        _enter_verdict(record, judge.verdict(state, task))
-    else:
-        record["grasp_success"] = record["strict_success"] = False
-        record["task_compliance"] = None if allowed is None else False
-        if len(attempts) > 1:
-            record["message"] = f"attempt {len(attempts)}: {record['message']}"
-    if record["task_compliance"] is not None:
-        record["combined_success"] = record["grasp_success"] and record["task_compliance"]
-    record["sim"]["seconds"] = context.get_time()
+    _enter_end(record, execution, allowed)
+    record["sim"]["seconds"] = context.get_time() if execution is None else execution.end
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
     return Episode(record, decision, replay, exchanges)
+
+
+class _Kept:
+    """What is kept of the episodes in one world."""
+
+    def __init__(self, shared: SharedWork, scenario: Scenario, world: World, key: str):
+        self._shared = shared
+        self._config = scenario.pipeline
+        self._world = world
+        self._key = key
+        proposer, seed = world.pipeline.proposer, scenario.random_seed
+        self._look_key = look_key(key, scenario.pipeline, proposer, seed)
+
+    def decide(self, context: Context) -> Decision:
+        """Decides, from a look that is kept if there is one; keeps it if there is none."""
+        key = self._look_key
+        found = None if key is None else self._shared.look(key)
+        decision = decide(self._world.pipeline, context, found)
+        if key is not None and found is None and decision.look is not None:
+            self._shared.keep_look(key, decision.look)
+        return decision
+
+    def execution(self, decision: Decision) -> Execution | None:
+        return self._shared.execution(self._execution_key(decision))
+
+    def keep(self, decision: Decision, execution: Execution) -> None:
+        self._shared.keep_execution(self._execution_key(decision), execution)
+
+    def _execution_key(self, decision: Decision) -> str:
+        assert decision.motion is not None
+        return execution_key(self._key, self._config, decision.motion, self._world.target)
+
+
+def _since_look(world: World, context: Context) -> float:
+    return float(context.get_time() - world.pipeline.executor.look_time)
+
+
+def _executed(
+    world: World, context: Context, verdict: Verdict, state: ExecutorState, wall: float
+) -> Execution:
+    executed, end = _since_look(world, context), context.get_time()
+    return Execution(verdict, state.opening_after, executed, wall, end)
+
+
+def _enter_end(
+    record: EpisodeRecord, execution: Execution | None, allowed: Collection[str] | None
+) -> None:
+    """Enters how it ended: as the judge saw the last motion, or without one."""
+    if execution is None:
+        record["grasp_success"] = record["strict_success"] = False
+        record["task_compliance"] = None if allowed is None else False
+        if (n := len(record["attempts"])) > 1:
+            record["message"] = f"attempt {n}: {record['message']}"
+    else:
+        verdict = execution.verdict
+        record["seconds"]["execute"] = execution.wall
+        record["sim"]["real_time_rate"] = execution.executed / execution.wall
+        record["collisions"] = verdict.collisions
+        record["outcome"] = verdict.outcome
+        record["message"] = verdict.message
+        record["held"] = verdict.held
+        record["lift"] = verdict.lift
+        record["grasp_success"] = verdict.grasp_success
+        record["strict_success"] = verdict.strict_success
+        record["task_compliance"] = complies(verdict.held, allowed)
+        record["turned"] = verdict.turned
+    if record["task_compliance"] is not None:
+        record["combined_success"] = record["grasp_success"] and record["task_compliance"]
 
 
 def look(world: World, scenario: Scenario, task: str) -> Simulator:
@@ -247,17 +323,6 @@ def _execute(simulator: Simulator, world: World, judge: Judge) -> ExecutorState:
         if state.phase in (Phase.DONE, Phase.FAILED) or then <= context.get_time():
             return state
         simulator.AdvanceTo(then)
-
-
-def _enter_verdict(record: EpisodeRecord, verdict: Verdict) -> None:
-    record["outcome"] = verdict.outcome
-    record["message"] = verdict.message
-    record["held"] = verdict.held
-    record["lift"] = verdict.lift
-    record["grasp_success"] = verdict.grasp_success
-    record["strict_success"] = verdict.strict_success
-    record["task_compliance"] = verdict.task_compliance
-    record["turned"] = verdict.turned
 
 
 def _parts_between_fingers(

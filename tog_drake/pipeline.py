@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
@@ -168,12 +169,26 @@ class GraspPipeline(Diagram):
             ),
             "executor": self.executor,
         }
+        self._stages = list(stages.values())
         builder = DiagramBuilder()
         for name, stage in stages.items():
             builder.AddNamedSystem(name, stage)
-        _connect_by_name(builder, list(stages.values()))
+        _connect_by_name(builder, self._stages)
         builder.BuildInto(self)
         self.set_name("pipeline")
+
+    def fix(self, context: Context, port: str, value: Any) -> None:
+        """Gives the stages that read ``port`` this value, for good: nothing computes it any more.
+
+        Args:
+            context: the root Context of the diagram that holds it.
+            port: of one of its stages.
+            value: of the port's type.
+        """
+        for stage in self._stages:
+            if stage.HasInputPort(port):
+                mine = stage.GetMyContextFromRoot(context)
+                stage.GetInputPort(port).FixValue(mine, Value(value))
 
 
 def _connect_by_name(builder: DiagramBuilder, stages: list[LeafSystem]) -> None:
@@ -322,6 +337,17 @@ def connect_to_station(
         builder.Connect(pipeline.GetOutputPort(name), station.GetInputPort(name))
 
 
+@dataclass(frozen=True)
+class Look:
+    """What the stages say that do not depend on the task, nor on who chooses."""
+
+    view: View
+    cloud: PointCloud
+    grasps: Grasps
+    feasible_grasps: FeasibleGrasps
+    seconds: Mapping[str, float]  # wall time of each, by the stages' keys
+
+
 @dataclass
 class Decision:
     """What the stages said in one look, in order; None from the stage on that failed."""
@@ -337,8 +363,21 @@ class Decision:
     seconds: dict[str, float] = field(default_factory=dict)
     weights: Mapping[str, Any] | None = None  # those that the proposer works with, see weights_of
 
+    @property
+    def look(self) -> Look | None:
+        """What other decisions in the same situation can begin with; None where it ended sooner."""
+        if self.feasible_grasps is None:
+            return None
+        assert self.view is not None and self.cloud is not None and self.grasps is not None
+        seconds = {stage.key: self.seconds[stage.key] for stage in STAGES if _is_of_look(stage)}
+        return Look(self.view, self.cloud, self.grasps, self.feasible_grasps, seconds)
 
-def decide(pipeline: GraspPipeline, context: Context) -> Decision:
+
+def _is_of_look(stage: Stage) -> bool:
+    return stage.port in Look.__dataclass_fields__
+
+
+def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) -> Decision:
     """Evaluates the stages one by one, with the wall time of each.
 
     Drake caches each value, so that an executor that looks at the same time gets the same motion
@@ -347,10 +386,17 @@ def decide(pipeline: GraspPipeline, context: Context) -> Decision:
     Args:
         pipeline: the pipeline.
         context: the root Context of the diagram that holds it.
+        look: what the first stages said in the very same situation: they are not asked again, now
+            or later in this context, and the seconds are those that they took then.
     """
     mine = pipeline.GetMyContextFromRoot(context)
     decision = Decision()
     for stage in STAGES:
+        if look is not None and _is_of_look(stage):
+            setattr(decision, stage.port, getattr(look, stage.port))
+            pipeline.fix(context, stage.port, getattr(look, stage.port))
+            decision.seconds[stage.key] = look.seconds[stage.key]
+            continue
         start = time.perf_counter()
         try:
             setattr(decision, stage.port, pipeline.GetOutputPort(stage.port).Eval(mine))

@@ -88,7 +88,9 @@ class EpisodeRecord(TypedDict):
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
-    seconds: dict[str, float | None]  # wall time; null: did not run; decide = cloud .. plan
+    seconds: dict[str, float | None]
+    """Wall time; null: did not run; decide = cloud .. plan. What an episode of a benchmark shares
+    with others took so long when it was computed."""
     sim: dict[str, float | None]  # seconds (simulated), real_time_rate (of the execution)
 
 

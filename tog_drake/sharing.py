@@ -1,0 +1,232 @@
+"""What episodes share, kept on disk by its content: looks and executions.
+
+Episodes of the same scene and seed differ in who chooses, not in what is seen and could be grasped;
+and the same motion from the same state of the world ends the same way. All of it is deterministic.
+So it is computed once, and kept under the SHA-256 of everything that it depends on: the state of
+the simulated world, the scenario, the files of its models, settings and weights of the stages, this
+program and Drake. What is damaged or gone is computed again. Nothing is pickled.
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
+from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump_typed
+from pydrake.perception import BaseField, Fields, PointCloud
+from pydrake.systems.framework import Context
+
+from tog_drake.files import write_atomically
+from tog_drake.judge import Verdict
+from tog_drake.pipeline import Look, PipelineConfig
+from tog_drake.proposer import Proposer, weights_of
+from tog_drake.proposers.antipodal import AntipodalProposer
+from tog_drake.resources import resource_dir
+from tog_drake.scenario import Scenario, model_files
+from tog_drake.values import FeasibleGrasps, GraspMotion, Grasps, Intrinsics, View
+
+T = TypeVar("T")
+
+_STEP = 0.005  # [s] between the samples by which motions are told apart
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What came of a motion, whatever the task was that it was meant for."""
+
+    verdict: Verdict  # its task_compliance is that of the task it was first carried out for
+    opening: float | None  # [m] between the pads after the hold
+    executed: float  # [s] simulated, from the look to the end
+    wall: float  # [s] that it took
+    end: float  # [s] time of the simulation
+
+
+class SharedWork:
+    """Looks and executions in a folder; several processes may use the same one at once."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def look(self, key: str) -> Look | None:
+        """Returns the look that is kept under a key, if any."""
+        return _read(self._folder / f"{key}.npz", _look_of)
+
+    def keep_look(self, key: str, look: Look) -> None:
+        """Keeps a look. Raises OSError where the folder cannot be written to."""
+        data = io.BytesIO()
+        np.savez(data, **_arrays_of(look))
+        write_atomically(self._folder / f"{key}.npz", data.getvalue())
+
+    def execution(self, key: str) -> Execution | None:
+        """Returns the execution that is kept under a key, if any."""
+        return _read(self._folder / f"{key}.json", _execution_of)
+
+    def keep_execution(self, key: str, execution: Execution) -> None:
+        """Keeps an execution. Raises OSError where the folder cannot be written to."""
+        write_atomically(self._folder / f"{key}.json", json.dumps(asdict(execution)))
+
+    def prune(self, limit: int) -> None:
+        """Deletes what was written longest ago until the rest has at most ``limit`` bytes."""
+        kept = [(path.stat(), path) for path in self._folder.glob("*.[nj]*")]
+        for status, path in sorted(kept, key=lambda item: -item[0].st_mtime):
+            limit -= status.st_size
+            if limit < 0:
+                path.unlink(missing_ok=True)
+
+
+def world_key(scenario: Scenario, context: Context) -> str:
+    """Returns what tells a simulated world, as it is now, from every other.
+
+    Args:
+        scenario: that it was made of; the settings of its pipeline do not count.
+        context: the root Context of the diagram.
+    """
+    world = deepcopy(scenario)
+    world.pipeline = PipelineConfig(camera=scenario.pipeline.camera)
+    state = context.get_discrete_state()
+    return _digest(
+        [
+            _program(),
+            yaml_dump_typed(world),
+            *(_contents(file.parent) for file in model_files(scenario).values()),
+            *(state.get_vector(i).value().tobytes() for i in range(state.num_groups())),
+            context.get_continuous_state_vector().CopyToVector().tobytes(),
+            repr(context.get_time()),
+        ]
+    )
+
+
+def look_key(world: str, config: PipelineConfig, proposer: Proposer, seed: int) -> str | None:
+    """Returns what tells a look at a world; None where nobody can say what grasps are proposed.
+
+    That is so of servers, files and plug-ins: what they say tomorrow is not known today.
+    """
+    weights = weights_of(proposer)
+    if not isinstance(proposer, AntipodalProposer) and (weights or {}).get("sha256") is None:
+        return None
+    seeing = PipelineConfig(
+        camera=config.camera,
+        workspace=config.workspace,
+        cloud=config.cloud,
+        proposer=config.proposer,
+        feasibility=config.feasibility,
+    )
+    return _digest(["look", world, yaml_dump_typed(seeing), json.dumps(weights), str(seed)])
+
+
+def execution_key(world: str, config: PipelineConfig, motion: GraspMotion, target: str) -> str:
+    """Returns what tells the carrying out of a motion in a world, judged for ``target``."""
+    times = np.append(np.arange(0.0, motion.duration, _STEP), motion.duration)
+    return _digest(
+        [
+            "execution",
+            world,
+            yaml_dump_typed(PipelineConfig(executor=config.executor)),
+            target,
+            json.dumps(motion.phase_times),
+            motion.arm.vector_values(times).tobytes(),
+            motion.hand.vector_values(times).tobytes(),
+        ]
+    )
+
+
+def _digest(parts: Iterable[str | bytes]) -> str:
+    total = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        total.update(len(data).to_bytes(8, "little") + data)
+    return total.hexdigest()
+
+
+@lru_cache
+def _program() -> str:
+    """What tells this program from another state of it, and from it on another Drake."""
+    return _contents(Path(__file__).parent) + _contents(resource_dir("models")) + version("drake")
+
+
+@lru_cache(maxsize=256)
+def _contents(folder: Path) -> str:
+    """Digest of the names and contents of a folder's files; files that Python makes aside."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return _digest(
+        part
+        for path in files
+        if "__pycache__" not in path.parts
+        for part in (str(path.relative_to(folder)), path.read_bytes())
+    )
+
+
+def _read(path: Path, parse: Callable[[bytes], T]) -> T | None:
+    """What a kept file says; None where it is not there or damaged."""
+    try:
+        return parse(path.read_bytes())
+    except (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _arrays_of(look: Look) -> dict[str, Any]:
+    """A look as named arrays; what is no array is JSON in one of them."""
+    cloud, grasps, feasible = look.cloud, look.grasps, look.feasible_grasps
+    said = {
+        "intrinsics": asdict(look.view.intrinsics),
+        "rejected": feasible.rejected,
+        "seconds": dict(look.seconds),
+    }
+    arrays = {
+        "view.rgb": look.view.rgb,
+        "view.depth": look.view.depth,
+        "view.X_WC": look.view.X_WC,
+        "cloud.xyzs": cloud.xyzs(),
+        "cloud.normals": cloud.normals(),
+        "cloud.rgbs": cloud.rgbs(),
+        "said": np.frombuffer(json.dumps(said).encode(), np.uint8),
+    }
+    for name, value in (("grasps", grasps), ("feasible", feasible)):
+        arrays |= {f"{name}.{f}": getattr(value, f) for f in _per_grasp(type(value))}
+    return arrays
+
+
+def _look_of(data: bytes) -> Look:
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        said = json.loads(arrays["said"].tobytes())
+        view = View(
+            arrays["view.rgb"],
+            arrays["view.depth"],
+            Intrinsics(**said["intrinsics"]),
+            arrays["view.X_WC"],
+        )
+        xyzs = arrays["cloud.xyzs"]
+        every = BaseField.kXYZs | BaseField.kNormals | BaseField.kRGBs
+        cloud = PointCloud(xyzs.shape[1], Fields(every))
+        cloud.mutable_xyzs()[:] = xyzs
+        cloud.mutable_normals()[:] = arrays["cloud.normals"]
+        cloud.mutable_rgbs()[:] = arrays["cloud.rgbs"]
+        grasps, feasible = (
+            {f: arrays[f"{name}.{f}"] for f in _per_grasp(kind)}
+            for name, kind in (("grasps", Grasps), ("feasible", FeasibleGrasps))
+        )
+    return Look(
+        view,
+        cloud,
+        Grasps(**grasps),
+        FeasibleGrasps(**feasible, rejected=said["rejected"]),
+        said["seconds"],
+    )
+
+
+def _per_grasp(kind: type[Grasps]) -> list[str]:
+    return [f.name for f in fields(kind) if not f.metadata.get("whole", False)]
+
+
+def _execution_of(data: bytes) -> Execution:
+    said: dict[str, Any] = json.loads(data)
+    verdict: Mapping[str, Any] = said.pop("verdict")
+    return Execution(Verdict(**verdict), **said)
