@@ -1,17 +1,241 @@
-"""What many episodes say together: the table of successes, of failures, and how labels agree."""
+"""What many episodes say together: how often each method succeeds, and which does better.
+
+Every table is a list of rows, each a plain dictionary, and the same for the same episodes, in
+whatever order these ended. An episode of a method that does not read the task serves several of
+them: it is one grasp, judged for each.
+"""
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
-from tog_drake.judge import COMPLIANT_SHARE
+from tog_drake.benchmark.statistics import Rate, mcnemar, wilson
+from tog_drake.judge import COMPLIANT_SHARE, complies
 from tog_drake.record import EpisodeRecord, selector_name
 
-# They do not read the task: one episode serves every task, and is judged for each.
-TASK_BLIND = ("top-score", "random")
-_TIE = 0.05  # by which a share may be smaller than the greatest and count as great
+if TYPE_CHECKING:
+    from tog_drake.benchmark.journal import Line
 
-Rows = list[dict[str, str | int | float]]
+TASK_BLIND = ("top-score", "random")
+"""Selectors that do not read the task: one episode serves every task, and is judged for each."""
+RATES = {
+    "grasp": "lifted by 0.10 m and held for 2 s",
+    "strict": "so lifted, and turned by no more than 10° in the hand",
+    "chosen": "the region that the chosen grasp closes on suits the task",
+    "task": "what the pads press at lift-off suits the task",
+    "both": "lifted, and held as the task wants it",
+}
+"""The rates of a table, in its order, and what counts as a success."""
+CATEGORIES = ("position", "use", "handover")
+"""The paper's, in its order; "all" is of these. An episode of another counts in that one alone."""
+ALL, WITHIN = "all", "all that 8 cm can hold"
+GROUPS = ("category", "scenario", "object", "task")
+"""By what a table of successes may be divided."""
+
+Rows = list[dict[str, Any]]
+
+
+def in_order(lines: Iterable["Line"]) -> list["Line"]:
+    """Returns the lines in the order of the run, in whatever order its episodes ended."""
+    return sorted(lines, key=lambda line: (line["cell"]["number"], line["cell"]["task"]))
+
+
+def methods_of(lines: Iterable["Line"]) -> list[str]:
+    """Returns the methods in the order of the run."""
+    return list(dict.fromkeys(line["cell"]["method"] for line in in_order(lines)))
+
+
+def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
+    """Returns the rates of each method in each group; see ``RATES``.
+
+    ``grasp`` and ``strict`` are shares of the ``n`` episodes that were run, the others of the
+    ``tasks`` that they were judged for: as many, but for a method that does not read the task. An
+    episode that ended early counts as a failure of each; a task that does not say what may be held
+    is not judged. ``_low`` and ``_high`` bound a rate with 95 % confidence (Wilson 1927); of
+    nothing judged they are None.
+
+    Args:
+        lines: the episodes.
+        by: one of ``GROUPS``; by category, the paper's together are a group besides.
+    """
+    rows: Rows = []
+    lines = in_order(lines)
+    some_beyond = any(line["cell"]["beyond"] for line in lines)
+    for method in methods_of(lines):
+        groups: dict[str, list[Line]] = {}
+        for line in lines:
+            if line["cell"]["method"] == method:
+                for group in _groups(line, by, some_beyond):
+                    groups.setdefault(group, []).append(line)
+        rows += [_success_row(method, name, groups[name]) for name in sorted(groups, key=_rank)]
+    return rows
+
+
+def _groups(line: "Line", by: str, some_beyond: bool) -> list[str]:
+    cell: Mapping[str, Any] = line["cell"]
+    group = str(cell[by])
+    if by != "category" or group not in CATEGORIES:
+        return [group]
+    return [group, ALL, *([WITHIN] if some_beyond and not cell["beyond"] else [])]
+
+
+def _rank(group: str) -> tuple[int, str]:
+    """Places the paper's categories first, then any other group by name, then all."""
+    known = (*CATEGORIES, None, ALL, WITHIN)
+    return known.index(group if group in known else None), group
+
+
+def runs_of(lines: Iterable["Line"]) -> list["Line"]:
+    """One line of each episode."""
+    return list({line["cell"]["name"]: line for line in lines}.values())
+
+
+def _success_row(method: str, group: str, lines: Sequence["Line"]) -> dict[str, Any]:
+    runs = runs_of(lines)
+    judged = [line for line in lines if _is_judged(line)]
+    row: dict[str, Any] = {"method": method, "group": group, "n": len(runs), "tasks": len(judged)}
+    for name in RATES:
+        of = runs if name in ("grasp", "strict") else judged
+        row |= rate_columns(name, Rate(sum(succeeded(line, name) for line in of), len(of)))
+    row["collisions"] = sum(bool(line["record"]["collisions"]) for line in runs)
+    row["failures"] = _failures([line["record"] for line in runs])
+    return row
+
+
+def rate_columns(name: str, rate: Rate) -> dict[str, Any]:
+    """Returns a rate as it stands in a row: itself, how many successes, and its interval."""
+    low, high = rate.interval or (None, None)
+    return {
+        name: rate.value,
+        f"{name}_successes": rate.successes,
+        f"{name}_low": low,
+        f"{name}_high": high,
+    }
+
+
+def _is_judged(line: "Line") -> bool:
+    record = line["record"]
+    return record["task_compliance"] is not None or record["outcome"] == "broken"
+
+
+def succeeded(line: "Line", rate: str) -> bool:
+    """Returns whether an episode is a success of this rate; see ``RATES``."""
+    record = line["record"]
+    if rate == "chosen":
+        return bool(complies(record["closes_on"] or {}, record["allowed"]))
+    key = {"grasp": "grasp_success", "strict": "strict_success", "task": "task_compliance"}
+    values: Mapping[str, Any] = record
+    return bool(values[key.get(rate, "combined_success")])
+
+
+def _failures(records: Sequence["EpisodeRecord"]) -> str:
+    """Returns such as "1 slipped, 6 no_choice (unreadable 5, refused 1), by fallback 2 (empty 2)".
+
+    In brackets is what became of the questions to a model. What the fallback chose is not the
+    model's merit, whatever came of it.
+    """
+    outcomes = Counter(r["outcome"] for r in records if r["outcome"] != "lifted")
+    said = [
+        f"{n} {outcome}" + _statuses([r for r in records if r["outcome"] == outcome == "no_choice"])
+        for outcome, n in outcomes.items()
+    ]
+    replaced = [r for r in records if r["vlm"] is not None and r["vlm"]["fallback"]]
+    if replaced:
+        said.append(f"by fallback {len(replaced)}" + _statuses(replaced))
+    return ", ".join(said)
+
+
+def _statuses(records: Sequence["EpisodeRecord"]) -> str:
+    counts = Counter(r["vlm"]["status"] for r in records if r["vlm"] and r["vlm"]["status"])
+    told = ", ".join(f"{status} {n}" for status, n in counts.most_common())
+    return f" ({told})" if told else ""
+
+
+def paired_rows(lines: Sequence["Line"]) -> Rows:
+    """Returns of each two methods how they compare on the trials that both have done.
+
+    A trial is one task on one object, as one seed puts it there; those of categories that are not
+    the paper's do not count. Where neither method reads the task, an episode of each is one trial
+    of the grasp, whatever number of tasks it is judged for. ``p`` is McNemar's exact test.
+    """
+    counted = [line for line in in_order(lines) if line["cell"]["category"] in CATEGORIES]
+    return [
+        row
+        for first, second in combinations(methods_of(lines), 2)
+        for rate in ("grasp", "task", "both")
+        if (row := _paired_row(counted, first, second, rate))["n"]
+    ]
+
+
+def _paired_row(lines: Sequence["Line"], first: str, second: str, rate: str) -> dict[str, Any]:
+    of_both = [line for line in lines if line["cell"]["method"] in (first, second)]
+    blind = all(line["cell"]["selector"] in TASK_BLIND for line in of_both)
+    if rate != "grasp":
+        of_both = [line for line in of_both if _is_judged(line)]
+    done: dict[str, dict[tuple[Any, ...], bool]] = {first: {}, second: {}}
+    for line in of_both:
+        cell = line["cell"]
+        trial = (cell["scenario"], cell["object"], cell["seed"], cell["task"])
+        if blind and rate == "grasp":
+            trial = (*trial[:3], "")
+        done[cell["method"]][trial] = succeeded(line, rate)
+    of_first, of_second = done[first], done[second]
+    pairs = [(won, of_second[trial]) for trial, won in of_first.items() if trial in of_second]
+    only = {first: pairs.count((True, False)), second: pairs.count((False, True))}
+    return {
+        "first": first,
+        "second": second,
+        "rate": rate,
+        "n": len(pairs),
+        "both": pairs.count((True, True)),
+        "only_first": only[first],
+        "only_second": only[second],
+        "neither": pairs.count((False, False)),
+        "p": mcnemar(only[first], only[second]),
+    }
+
+
+def candidate_rows(lines: Sequence["Line"]) -> Rows:
+    """Returns the rates over the number K of candidates, of methods that differ in it alone.
+
+    A row has the ``base``, the method without its K; ``k``, a number or "auto"; and of "auto" how
+    often it chose which K (``chosen_k``), "none" where there was nothing to choose from.
+    """
+    counted = [line for line in in_order(lines) if line["cell"]["category"] in CATEGORIES]
+    bases: dict[str, dict[str, list[Line]]] = {}
+    for line in counted:
+        if line["cell"]["k"] is not None:
+            by_k = bases.setdefault(_without_k(line), {})
+            by_k.setdefault(str(line["cell"]["k"]), []).append(line)
+    return [
+        {
+            "base": base,
+            "k": k,
+            "chosen_k": _chosen_k(runs_of(by_k[k])) if k == "auto" else {},
+            **_success_row(by_k[k][0]["cell"]["method"], ALL, by_k[k]),
+        }
+        for base, by_k in bases.items()
+        if len(by_k) > 1
+        for k in sorted(by_k, key=lambda k: (not k.isdigit(), int(k) if k.isdigit() else 0, k))
+    ]
+
+
+def _without_k(line: "Line") -> str:
+    """What a method is but for its K; ``candidate_rows`` sets several apart by it."""
+    cell = line["cell"]
+    named = (cell["proposer"], cell["selector"], cell["strategy"], cell["vlm"])
+    return " ".join(name for name in named if name is not None)
+
+
+def _chosen_k(lines: Sequence["Line"]) -> dict[str, int]:
+    counts = [line["record"]["counts"]["candidates"] or 0 for line in lines]
+    return {str(k or "none"): counts.count(k) for k in sorted(set(counts))}
+
+
+# Of records alone: these go when `tog eval` prints the tables of lines.
+_TIE = 0.05
 
 
 def rows_by_scenario(record: EpisodeRecord) -> list[str]:
@@ -65,37 +289,6 @@ def _row(
     row["collisions"] = sum(bool(r["collisions"]) for r in runs)
     row["failures"] = _failures(runs)
     return row
-
-
-def _failures(records: Sequence[EpisodeRecord]) -> str:
-    """Returns such as "1 slipped, 6 no_choice (unreachable 5, refused 1), by fallback 2 (empty 2)".
-
-    In brackets is what became of the questions to a model. What the fallback chose is not the
-    model's merit, whatever came of it.
-    """
-    outcomes = Counter(r["outcome"] for r in records if r["outcome"] != "lifted")
-    said = [
-        f"{n} {outcome}" + _statuses([r for r in records if r["outcome"] == outcome == "no_choice"])
-        for outcome, n in outcomes.items()
-    ]
-    replaced = [r for r in records if r["vlm"] is not None and r["vlm"]["fallback"]]
-    if replaced:
-        said.append(f"by fallback {len(replaced)}" + _statuses(replaced))
-    return ", ".join(said)
-
-
-def _statuses(records: Sequence[EpisodeRecord]) -> str:
-    counts = Counter(r["vlm"]["status"] for r in records if r["vlm"] and r["vlm"]["status"])
-    told = ", ".join(f"{status} {n}" for status, n in counts.most_common())
-    return f" ({told})" if told else ""
-
-
-def wilson(successes: int, n: int) -> tuple[float, float]:
-    """Returns the 95 % confidence interval of a rate (Wilson 1927)."""
-    from scipy.stats import binomtest  # slow to import
-
-    interval = binomtest(successes, n).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)
 
 
 def failures(records: Sequence[EpisodeRecord]) -> Rows:

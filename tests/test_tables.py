@@ -1,0 +1,278 @@
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from run_folder import make_exchange, make_line, make_vlm
+
+from tog_drake.benchmark.costs import cost_rows
+from tog_drake.benchmark.failures import agreement, failure_rows, motion_rows, rejection_rows
+from tog_drake.benchmark.statistics import Rate, mcnemar, wilson
+from tog_drake.benchmark.tables import (
+    candidate_rows,
+    in_order,
+    methods_of,
+    paired_rows,
+    success_rows,
+)
+
+
+def by_group(rows):
+    return {(row["method"], row["group"]): row for row in rows}
+
+
+def blind(number, task, *, seed=0, complies=True, outcome="lifted", method="top-score"):
+    """A line of an episode that serves two tasks."""
+    return make_line(
+        number, outcome, complies=complies, method=method, selector=method, seed=seed, task=task,
+        tasks=2, name=f"{method}-{seed}", category="use" if task == "use" else "handover",
+    )  # fmt: skip
+
+
+def test_intervals_are_wilsons():
+    # Worked by hand: (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n), p = 0.9, n = 10, z = 1.96.
+    assert wilson(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-4)
+    assert wilson(10, 10)[1] == 1.0
+    assert wilson(0, 10)[0] == 0.0
+
+
+def test_nothing_judged_has_no_rate():
+    assert (Rate(0, 0).value, Rate(0, 0).interval) == (None, None)
+    assert Rate(1, 4).value == 0.25
+
+
+@pytest.mark.parametrize(
+    ("only_first", "only_second", "p"),
+    [
+        (0, 0, 1.0),
+        (5, 0, 2 / 32),  # twice the chance that a coin falls five times on one side
+        (1, 8, 2 * (1 + 9) / 512),  # 9 throws: twice P(0 or 1)
+        (3, 3, 1.0),
+    ],
+)
+def test_mcnemars_test_is_that_of_a_fair_coin(only_first, only_second, p):
+    assert mcnemar(only_first, only_second) == pytest.approx(p)
+    assert mcnemar(only_second, only_first) == pytest.approx(p)
+
+
+def test_rates_are_shares_of_all_episodes_in_each_category_and_in_all():
+    lines = [
+        make_line(0),
+        make_line(1, complies=False, seed=1),
+        make_line(2, "slipped", category="handover"),
+        make_line(3, "no_grasp", category="handover", seed=1),
+        make_line(4, category="choose"),
+    ]
+    rows = by_group(success_rows(lines))
+    assert [group for _, group in rows] == ["use", "handover", "choose", "all"]
+    use = rows["oracle", "use"]
+    assert {k: use[k] for k in ("n", "tasks", "grasp", "task", "both", "both_successes")} == {
+        "n": 2, "tasks": 2, "grasp": 1.0, "task": 0.5, "both": 0.5, "both_successes": 1
+    }  # fmt: skip
+    everything = rows["oracle", "all"]  # without "choose", which the paper has not
+    assert (everything["n"], everything["grasp"], everything["both"]) == (4, 0.5, 0.25)
+    assert (everything["both_low"], everything["both_high"]) == wilson(1, 4)
+    assert everything["failures"] == "1 slipped, 1 no_grasp"
+
+
+@pytest.mark.parametrize("by", ["scenario", "object", "task"])
+def test_rates_are_told_by_other_groups_too(by):
+    lines = [make_line(0, **{by: "b"}), make_line(1, "slipped", **{by: "a"})]
+    rows = success_rows(lines, by)
+    assert [(row["group"], row["grasp"]) for row in rows] == [("a", 0.0), ("b", 1.0)]
+
+
+def test_what_no_hand_can_hold_counts_and_is_listed_apart():
+    lines = [make_line(0), make_line(1, "no_choice", seed=1, beyond="it is too wide")]
+    rows = by_group(success_rows(lines))
+    assert rows["oracle", "all"]["both"] == 0.5
+    assert rows["oracle", "all that 8 cm can hold"]["both"] == 1.0
+    assert ("oracle", "all that 8 cm can hold") not in by_group(success_rows(lines[:1]))
+
+
+def test_the_chosen_grasp_is_judged_apart_from_what_the_pads_hold():
+    lines = [
+        make_line(0, closes_on={"head": 1.0}),
+        make_line(1, "slipped", seed=1, closes_on={"handle": 0.8, "head": 0.2}),
+        make_line(2, "no_choice", seed=2, closes_on=None),
+    ]
+    row = by_group(success_rows(lines))["oracle", "all"]
+    assert (row["chosen_successes"], row["task_successes"], row["tasks"]) == (1, 1, 3)
+
+
+def test_an_episode_that_serves_two_tasks_is_one_grasp():
+    lines = [
+        blind(0, "use"),
+        blind(0, "hand", complies=False),
+        blind(1, "use", seed=1, outcome="empty"),
+        blind(1, "hand", seed=1, outcome="empty"),
+    ]
+    row = by_group(success_rows(lines))["top-score", "all"]
+    assert (row["n"], row["tasks"], row["grasp"], row["both"]) == (2, 4, 0.5, 0.25)
+    assert row["failures"] == "1 empty"
+
+
+def test_a_task_that_says_nothing_of_parts_is_not_judged_but_a_broken_episode_is():
+    silent = {"allowed": None, "task_compliance": None, "combined_success": None}
+    lines = [make_line(0, **silent), make_line(1, "broken", seed=1, closes_on=None, **silent)]
+    row = by_group(success_rows(lines))["oracle", "all"]
+    assert (row["n"], row["grasp"], row["tasks"], row["task"]) == (2, 0.5, 1, 0.0)
+    row = by_group(success_rows(lines[:1]))["oracle", "all"]
+    assert (row["tasks"], row["task"], row["both_low"]) == (0, None, None)
+
+
+def asked(number, outcome, status, fallback=None):
+    vlm = make_vlm([], status=status, fallback=fallback)
+    return make_line(number, outcome, seed=number, method="vlm", selector="vlm", vlm=None) | {
+        "record": make_line(number, outcome)["record"] | {"vlm": vlm}
+    }
+
+
+def test_answers_that_cannot_be_read_are_failures_and_told():
+    failed = [asked(i, "no_choice", s) for i, s in enumerate(("refused", *["unreadable"] * 2))]
+    lines = [*failed, asked(3, "slipped", "ok"), asked(4, "lifted", "ok")]
+    row = by_group(success_rows(lines))["vlm", "all"]
+    assert row["failures"] == "3 no_choice (unreadable 2, refused 1), 1 slipped"
+    assert (row["n"], row["grasp_successes"], row["task_successes"]) == (5, 1, 1)
+    replaced = [asked(i, o, "empty", "geometric") for i, o in enumerate(("lifted", "slipped"))]
+    row = by_group(success_rows(replaced))["vlm", "all"]
+    assert row["failures"] == "1 slipped, by fallback 2 (empty 2)"
+
+
+def test_two_methods_are_compared_on_the_trials_that_both_did():
+    a = [make_line(i, o, seed=i) for i, o in enumerate(["lifted"] * 5 + ["empty", "lifted"])]
+    outcomes = ["empty"] * 5 + ["empty"]  # its seed 6 was not run
+    b = [make_line(10 + i, o, seed=i, method="b") for i, o in enumerate(outcomes)]
+    grasp, _, both = paired_rows([*a, *b])
+    assert grasp == {
+        "first": "oracle", "second": "b", "rate": "grasp", "n": 6, "both": 0, "only_first": 5,
+        "only_second": 0, "neither": 1, "p": pytest.approx(1 / 16),
+    }  # fmt: skip
+    assert both["only_first"] == 5
+    assert paired_rows([*a, make_line(20, seed=99, method="b")]) == []
+
+
+def test_a_method_that_reads_no_task_is_paired_task_by_task():
+    reading = [make_line(i, task=task) for i, task in enumerate(("use", "hand"))]
+    blind_ones = [blind(2, "use"), blind(2, "hand", complies=False)]
+    both = next(r for r in paired_rows([*reading, *blind_ones]) if r["rate"] == "both")
+    assert (both["n"], both["both"], both["only_first"]) == (2, 1, 1)
+    other = [blind(3, task, method="random", outcome="empty") for task in ("use", "hand")]
+    rows = {row["rate"]: row["n"] for row in paired_rows([*blind_ones, *other])}
+    assert rows == {"grasp": 1, "task": 2, "both": 2}  # one grasp each, whatever it is judged for
+
+
+def test_the_number_of_candidates_is_a_row_each_and_auto_tells_what_it_chose():
+    def line(number, k, candidates, outcome="lifted"):
+        counts = {"candidates": candidates}
+        method = f"oracle k={k}"
+        return make_line(number, outcome, k=k, method=method, seed=number, counts=counts)
+
+    lines = [line(0, "10", 10), line(1, "2", 2, "empty"), line(2, "auto", 4), line(3, "auto", 4),
+             line(4, "auto", 3), line(5, "auto", None, "no_grasp")]  # fmt: skip
+    rows = candidate_rows([*lines, make_line(6, method="other", strategy="x", k="3")])
+    assert [(row["base"], row["k"], row["both"]) for row in rows] == [
+        ("oracle", "2", 0.0), ("oracle", "10", 1.0), ("oracle", "auto", 0.75)
+    ]  # fmt: skip
+    assert rows[-1]["chosen_k"] == {"3": 1, "4": 2, "none": 1}
+    assert candidate_rows([make_line(0)]) == []
+
+
+def test_failures_are_counted_by_outcome_and_reason():
+    lines = [
+        make_line(0, "no_choice", message="none of 284 grasps"),
+        make_line(1, "no_choice", message="none of 12 grasps", object="mug"),
+        make_line(2, complies=False, held={"head": 0.7, "body": 0.3}),
+        make_line(3),
+        blind(4, "use", complies=False),  # it was not told
+        blind(5, "use", seed=1, outcome="slipped"),
+        blind(5, "hand", seed=1, outcome="slipped"),
+    ]
+    rows = failure_rows(lines)
+    assert [(f["outcome"], f["reason"], f["n"], f["objects"]) for f in rows] == [
+        ("no_choice", "none of # grasps", 2, "hammer, mug"),
+        ("lifted", "held by head and body", 1, "hammer"),
+        ("slipped", "", 1, "hammer"),
+    ]
+
+
+def test_proposals_of_a_scene_are_counted_once_whoever_chose_among_them():
+    lines = [make_line(0), make_line(1, method="other"), make_line(2, seed=1)]
+    assert [(r["proposer"], r["reason"], r["n"], r["share"]) for r in rejection_rows(lines)] == [
+        ("antipodal", "no_ik", 60, 0.3), ("antipodal", "hidden", 20, 0.1)
+    ]  # fmt: skip
+
+
+def test_like_motions_are_one():
+    stops = {"note": "with stops, since 4 attempts to optimise failed: x"}
+    lines = [make_line(0), make_line(1, motion=stops), make_line(2, motion=None)]
+    assert [(row["note"], row["n"]) for row in motion_rows(lines)] == [
+        ("optimised, attempt #", 1), ("with stops, since # attempts to optimise failed: x", 1)
+    ]  # fmt: skip
+
+
+def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held():
+    clear, mixed = {"head": 0.9, "body": 0.1}, {"head": 0.6, "body": 0.4}
+    lines = [
+        make_line(0, held=clear, closes_on=clear),
+        make_line(1, held=clear, closes_on={"body": 1.0}),
+        make_line(2, held=mixed, closes_on=clear),
+        make_line(3, "empty", closes_on=clear),
+        make_line(4, held={"head": 0.52, "body": 0.48}, closes_on={"body": 1.0}),  # a tie
+        make_line(5, held={"head": 0.6, "body": 0.4}, closes_on={"body": 1.0}),
+    ]
+    assert agreement(lines) == {"n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3}
+
+
+def test_what_decisions_took_tells_live_questions_from_replayed_ones():
+    live = [make_exchange(seconds=s) for s in (1.0, 3.0)]
+    lines = [
+        make_line(0, exchanges=live[:1], seconds={"decide": 1.0, "execute": 2.0}),
+        make_line(1, exchanges=live, seconds={"decide": 3.0, "execute": None}),
+        make_line(2, exchanges=[make_exchange(seconds=8.0, replayed="a.jsonl", cost=None)]),
+        make_line(3, "no_grasp", seconds={"decide": 2.0, "execute": None}),
+    ]
+    (row,) = cost_rows(lines)
+    assert (row["n"], row["decide"], row["execute"]) == (4, 1.5, 3.0)
+    assert (row["live"], row["live_questions"], row["live_tokens"]) == (2, 3, 330)
+    assert row["live_cost"] == pytest.approx(0.003)
+    assert (row["live_model"], row["live_model_p95"]) == (2.5, pytest.approx(3.85))
+    assert (row["replayed"], row["replayed_model"], row["replayed_cost"]) == (1, 8.0, None)
+
+
+def test_the_parts_of_a_run_come_back_in_its_order():
+    lines = [make_line(i, method=m) for i, m in enumerate("cab")]
+    assert methods_of(lines[::-1]) == ["c", "a", "b"]
+    assert in_order(lines[::-1]) == lines
+
+
+LINES = st.lists(
+    st.builds(
+        make_line,
+        number=st.integers(0, 9),
+        outcome=st.sampled_from(["lifted", "empty", "no_choice"]),
+        complies=st.booleans(),
+        method=st.sampled_from(["a", "b"]),
+        k=st.sampled_from([None, "2", "auto"]),
+        category=st.sampled_from(["use", "choose"]),
+        task=st.sampled_from(["x", "y"]),
+    ),
+    max_size=12,
+    unique_by=lambda line: line["cell"]["number"],
+)
+
+
+@given(LINES, st.randoms(use_true_random=False))
+def test_no_table_depends_on_the_order_in_which_episodes_ended(lines, order):
+    shuffled = random.Random(order.random()).sample(lines, len(lines))
+    for table in (success_rows, paired_rows, candidate_rows, failure_rows, rejection_rows,
+                  motion_rows, cost_rows, agreement):  # fmt: skip
+        assert table(shuffled) == table(lines)
+
+
+@given(LINES)
+def test_rates_lie_in_their_intervals_and_none_is_greater_than_what_it_is_part_of(lines):
+    for row in success_rows(lines):
+        for rate in ("grasp", "strict", "chosen", "task", "both"):
+            assert 0 <= row[f"{rate}_low"] <= row[rate] <= row[f"{rate}_high"] <= 1
+        assert row["both_successes"] <= min(row["grasp_successes"], row["task_successes"])
