@@ -36,6 +36,7 @@ HASHES = {
     "cpsi/1": "f77c23799fb44a80",
     "gmi/1": "e5a845d66bcd3737",
     "gsi/1": "c2be41742b5e4196",
+    "judge/1": "96c1578ec65111b9",
     "pivot/1": "871388c2a44f41c2",
     "repair/1": "f98a9ab7570486d2",
     "answer/1": "c0483dd76b0c1803",

@@ -1,0 +1,182 @@
+"""People judge whether grasps suit their tasks, without knowing who chose them or what came of it.
+
+``export_sample`` writes a page of pictures in random order, two buttons each; its answers are a
+file of JSON lines, which ``import_answers`` puts beside the run. How far people, the judge by
+geometry and a model agree is Cohen's κ (Cohen 1960).
+"""
+
+import base64
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from tog_drake.benchmark.journal import PICTURES, Line, read_run
+from tog_drake.errors import InputError
+from tog_drake.files import write_atomically
+from tog_drake.judge import complies
+from tog_drake.visible_text import visible
+
+LABELS = "labels.json"
+"""In the folder of a run: ``identifier`` of a line -> whether the grasp suits its task."""
+PICTURE = "grasp.jpg"  # in the folder of an episode: the chosen grasp alone
+ANSWERS = {"yes": True, "no": False, "unclear": None}
+_TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+_MAX_ANSWERS = 10_000_000  # [byte]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How two judges agree on the same grasps."""
+
+    n: int  # grasps that both judged
+    agree: float | None  # share on which they agree; None: n = 0
+    kappa: float | None  # Cohen's κ; None where one of them always says the same, or n = 0
+
+
+def agreement(pairs: Sequence[tuple[bool, bool]]) -> Agreement:
+    """Returns how two judges agree, beyond what chance would give: κ = (p₀ − pₑ) / (1 − pₑ)."""
+    n = len(pairs)
+    if n == 0:
+        return Agreement(0, None, None)
+    first, second = (sum(column) / n for column in zip(*pairs, strict=True))
+    observed = sum(a == b for a, b in pairs) / n
+    expected = first * second + (1 - first) * (1 - second)
+    if math.isclose(expected, 1.0):
+        return Agreement(n, observed, None)
+    return Agreement(n, observed, (observed - expected) / (1 - expected))
+
+
+def export_sample(folder: Path, out: Path, *, count: int, seed: int) -> int:
+    """Writes the page with a random sample of a run's grasps.
+
+    Args:
+        folder: of the run.
+        out: file of the page.
+        count: of grasps at most.
+        seed: of the sample and its order.
+
+    Returns:
+        How many grasps are on it.
+
+    Raises:
+        InputError: there is no run, or no episode of it has a grasp to look at.
+    """
+    shown = [line for line in read_run(folder).lines if _picture(folder, line).is_file()]
+    if not shown:
+        raise InputError(f"{folder} has no picture of a grasp to judge ({PICTURES}/*/{PICTURE})")
+    rows = np.random.default_rng(seed).permutation(len(shown))[:count]
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True
+    )
+    items = [
+        {
+            "id": identifier(shown[row]),
+            "task": visible(shown[row]["cell"]["task"], limit=500),
+            "picture": base64.b64encode(_picture(folder, shown[row]).read_bytes()).decode(),
+        }
+        for row in rows
+    ]
+    page = environment.get_template("human_labels.html.j2").render(items=items)
+    write_atomically(out, page)
+    return len(items)
+
+
+def identifier(line: Line) -> str:
+    """What an answer is about: it tells nobody who chose, nor what came of it."""
+    about = f"{line['cell']['name']}\n{line['cell']['task']}"
+    return hashlib.sha256(about.encode()).hexdigest()[:16]
+
+
+def _picture(folder: Path, line: Line) -> Path:
+    return folder / PICTURES / line["cell"]["name"] / PICTURE
+
+
+def import_answers(folder: Path, answers: Path) -> int:
+    """Adds answers to those that the run has; a later answer replaces an earlier one.
+
+    Returns:
+        How many the run has now that are not "unclear".
+
+    Raises:
+        InputError: there is no run, or the file is none of its page.
+    """
+    known = {identifier(line) for line in read_run(folder).lines}
+    given = _read_answers(answers)
+    if strange := [name for name in given if name not in known]:
+        raise InputError(
+            f"{answers}: {strange[0]!r} is no episode of {folder}; valid: the answers of the page "
+            "that was made of this run"
+        )
+    labels = read_labels(folder) | given
+    write_atomically(folder / LABELS, json.dumps(labels, indent=1) + "\n")
+    return sum(label is not None for label in labels.values())
+
+
+def read_labels(folder: Path) -> dict[str, bool | None]:
+    """Returns what people said of a run's grasps, by ``identifier``; None: it was unclear."""
+    path = folder / LABELS
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path} cannot be read: {error}; valid: to delete it") from error
+    return _checked(content, path)
+
+
+def _read_answers(path: Path) -> dict[str, bool | None]:
+    """The answers in a file of the page, JSON lines of id and answer."""
+    try:
+        data = path.read_bytes()
+        if len(data) > _MAX_ANSWERS:
+            raise InputError(f"{path} has more than {_MAX_ANSWERS} bytes; valid: a page's answers")
+        said = [json.loads(line) for line in data.decode().splitlines() if line.strip()]
+        return _checked({item["id"]: ANSWERS[item["answer"]] for item in said}, path)
+    except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
+        raise InputError(
+            f"{path} cannot be read: {error!r}; valid: lines such as "
+            '{"id": "1f0c9a...", "answer": "yes"}, with '
+            f"{', '.join(ANSWERS)}"
+        ) from error
+
+
+def _checked(content: Any, path: Path) -> dict[str, bool | None]:
+    if not isinstance(content, Mapping) or not all(
+        isinstance(name, str) and (label is None or isinstance(label, bool))
+        for name, label in content.items()
+    ):
+        raise InputError(f"{path} holds something else than labels; valid: to delete it")
+    return dict(content)
+
+
+def agreements(lines: Sequence[Line], labels: Mapping[str, bool | None]) -> dict[str, Agreement]:
+    """Returns how those agree who judged whether the chosen grasp suits the task.
+
+    The geometric judge is the one of the region that the grasp closes on; see ``judge.complies``.
+    """
+    said: dict[str, dict[str, bool]] = {"geometry": {}, "model": {}, "people": {}}
+    for line in lines:
+        name, record, judge = identifier(line), line["record"], line["judge"]
+        closes_on = record["closes_on"]
+        by_labels = None if closes_on is None else complies(closes_on, record["allowed"])
+        by_model = None if judge is None else judge["complies"]
+        for who, suits in (
+            ("geometry", by_labels),
+            ("model", by_model),
+            ("people", labels.get(name)),
+        ):
+            if suits is not None:
+                said[who][name] = suits
+    pairs = (("model", "geometry"), ("people", "geometry"), ("people", "model"))
+    return {
+        f"{a} and {b}": agreement([(said[a][n], said[b][n]) for n in said[a] if n in said[b]])
+        for a, b in pairs
+        if said[a] and said[b]
+    }
