@@ -350,6 +350,15 @@ def _walk(points, count):
     return rows
 
 
+@settings(max_examples=40)
+@given(**CLOUDS, picks=st.integers(1, 400), again=st.integers(1, 400))
+def test_of_farthest_points_the_farthest_are_the_first(count, grid, seed, picks, again):
+    points = random_cloud(np.random.default_rng(seed), count, grid)
+    farthest = points[farthest_points(points, picks)]
+    few = farthest[farthest_points(farthest, min(again, picks))]
+    np.testing.assert_array_equal(few, farthest[:again])
+
+
 def test_of_equally_far_points_the_first_is_picked():
     square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0]], np.float32)
     np.testing.assert_array_equal(farthest_points(square, 4), [0, 1, 2, 4])

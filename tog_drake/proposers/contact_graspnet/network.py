@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from tog_drake.proposers.contact_graspnet.decoding import hand_poses, widths
-from tog_drake.proposers.contact_graspnet.layers import Layer, layer, matrix, pooled
+from tog_drake.proposers.contact_graspnet.layers import Groups, Layer, layer, matrix, pooled
 from tog_drake.proposers.contact_graspnet.sampling import (
     Each,
     ball_query,
@@ -123,7 +123,7 @@ class ContactGraspNet(nn.Module):
                 """What a head says (B, 2048, channels); dropout is left out."""
                 hidden = layer(layers[0], layers[1], running)
                 weight, bias = matrix(layers[-1])
-                y = workers.by_rows(lambda x: torch.addmm(bias, hidden(x), weight.t()), features)
+                y = workers.by_rows(lambda x: torch.addmm(bias, hidden(x), weight), features)
                 return y.view(len(points), -1, len(bias))
 
             logits, score = head(self.grasp_offset_head), head(self.binary_seg_head)
@@ -140,11 +140,14 @@ class ContactGraspNet(nn.Module):
     def _backbone(self, points: Tensor, running: bool, workers: Workers) -> tuple[Tensor, Tensor]:
         """The contacts (B, 2048, 3) [m] and their features (B·2048, 256)."""
         batch, how = len(points), (running, workers)
-        at1 = _level(points.cpu().numpy(), 2048, LEVEL_1, workers.map)
+        cloud = points.cpu().numpy()
+        # Of farthest points the farthest are the first, so these are the points of all levels.
+        xyz = np.stack([each[farthest_points(each, 2048)] for each in cloud])
+        at1 = _level(cloud, xyz, LEVEL_1, workers.map)
 
         def coarser() -> tuple[_Level, _Level]:
-            at2 = _level(at1.xyz, 512, LEVEL_2)
-            return at2, _level(at2.xyz, 128, LEVEL_3)
+            at2 = _level(xyz, xyz[:, :512], LEVEL_2)
+            return at2, _level(at2.xyz, xyz[:, :128], LEVEL_3)
 
         started = workers.start(coarser)
         contact = torch.from_numpy(at1.xyz).to(points.device)
@@ -185,12 +188,13 @@ class _Abstraction(nn.Module):
         workers: Workers,
     ) -> Tensor:
         """Features (M, channels of all scales) of the centres; see ``pooled``."""
-        scales = []
-        for i, (rows, count) in enumerate(neighbours):
-            layers = _layers(self.conv_blocks[i], self.bn_blocks[i], running)
-            rows, count = rows.to(xyz.device), count.to(xyz.device)
-            scales.append(pooled(layers, features, xyz, centres, rows, count, workers))
-        return torch.cat(scales, dim=1)
+        scales = [
+            Groups(_layers(convs, norms, running), rows.to(xyz.device), count.to(xyz.device))
+            for convs, norms, (rows, count) in zip(
+                self.conv_blocks, self.bn_blocks, neighbours, strict=True
+            )
+        ]
+        return pooled(scales, features, xyz, centres, workers)
 
 
 class _Pointwise(nn.Module):
@@ -243,11 +247,13 @@ class _Level:
 
 
 def _level(
-    xyz: NDArray[np.float32], count: int, scales: Sequence[Scale], each: Each = map
+    xyz: NDArray[np.float32],
+    centres: NDArray[np.float32],
+    scales: Sequence[Scale],
+    each: Each = map,
 ) -> _Level:
-    """Picks ``count`` of the points (B, N, 3) of each cloud, and their neighbours among them."""
+    """The level of these centres (B, M, 3), which are among the points (B, N, 3) before."""
     radii, most = [s.radius for s in scales], [s.most for s in scales]
-    centres = np.stack([cloud[farthest_points(cloud, count)] for cloud in xyz])
     found = [ball_query(cloud, c, radii, most, each) for cloud, c in zip(xyz, centres, strict=True)]
     neighbours = []
     for scale in zip(*found, strict=True):

@@ -17,7 +17,7 @@ Each = Callable[[Callable[[Rows], None], Iterable[Rows]], Iterable[None]]
 
 MANY = 4096  # points; of fewer, a walk over all of them is the fastest way to the farthest
 FIRST = 64  # farthest points that are picked by a walk over all
-ACTIVE = 700  # points that are walked over afterwards
+ACTIVE = 400  # points that are walked over afterwards
 BLOCKS = 128  # of points that are brought up to date together
 DENSE = 4096  # points near a group of centres; of more, so many are looked at first
 GROUP = 96  # centres whose distances are computed together: of fewer, threads wait for Python

@@ -1,6 +1,6 @@
 """Threads that share the network's work."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from threading import RLock
 from types import TracebackType
@@ -55,6 +55,11 @@ class Workers:
     def map(self, work: Callable[[In], Out], things: Iterable[In]) -> list[Out]:
         """What ``work`` makes of each of the things."""
         return list((self._pool.map if self.count > 1 else map)(work, things))
+
+    def share(self, work: Callable[[Iterator[In]], None], things: Iterable[In]) -> None:
+        """Has each thread ``work`` on the things that it takes, one by one, from all of them."""
+        left = iter(list(things))
+        self.map(work, [left] * self.count)
 
     def start(self, work: Callable[[], Out]) -> Callable[[], Out]:
         """Has ``work`` done beside what follows; what comes back waits for what it makes."""
