@@ -40,7 +40,7 @@ bench-compare: $(VENV)/test.stamp
 	$(BENCH) --benchmark-compare$(if $(RUN),=$(RUN))
 
 eval: $(VENV)/test.stamp
-	$(BIN)/tog eval --selectors top-score,oracle,geometric --seeds 5 --workers 2 --out out/eval
+	$(BIN)/tog eval builtin --selectors top-score,oracle,geometric --out out/eval
 
 clean:
 	rm -rf $(VENV) out dist build

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from itertools import product
 from typing import get_type_hints
 
 import pytest
@@ -15,12 +14,10 @@ import typer
 import yaml
 from command import refused, tog
 
-from tog_drake import cli, evaluation
-from tog_drake.benchmark import tables
-from tog_drake.benchmark.cells import CLUTTER, SCANNED, make_cells, scenario_names, scenario_of
+from tog_drake import cli
+from tog_drake.benchmark.cells import scenario_of
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
-from tog_drake.scenario import scenario_files
 
 
 def _leaves(group, *path):
@@ -101,7 +98,9 @@ def test_every_subcommand_has_help_with_an_example_that_can_be_typed(name):
     COMMANDS[name].make_context(name, arguments)
 
 
-@pytest.mark.parametrize("arguments", [(), ("run",), ("choose",), ("diagram",), ("show",)])
+@pytest.mark.parametrize(
+    "arguments", [(), ("run",), ("choose",), ("eval",), ("diagram",), ("show",)]
+)
 def test_without_what_is_needed_the_usage_is_shown(arguments):
     done = tog(*arguments)
     assert done.status == 2
@@ -149,8 +148,8 @@ BAD = {
     "K = foo": ((*RUN, "--k", "foo"), ["K is 'foo'", "at least 1", "auto"]),
     "show": (("show", "Hamer"), ["'Hamer'", *SCENARIOS]),
     "diagram": (("diagram", "Hamer", "--out", "x.svg"), ["'Hamer'", *SCENARIOS]),
-    "eval's selector": (("eval", "--selectors", "oracle,best"), ["'best'", "top-score"]),
-    "eval's scenario": (("eval", "--scenarios", "Hamer"), ["'Hamer'", *SCENARIOS]),
+    "eval's selector": (("eval", "Mug", "--selectors", "oracle,best"), ["'best'", "top-score"]),
+    "eval's suite": (("eval", "Hamer"), ["'Hamer'", "builtin", "tog29", *SCENARIOS]),
 }
 
 
@@ -185,8 +184,8 @@ def test_what_drake_refuses_of_a_scenario_is_bad_input_too(text, word, tmp_path,
         (("run", "--task", "x", "--seed", "-1"), ["'--seed'", "0"]),
         (("run", "--task", "x", "--seed", "1.5"), ["'--seed'", "integer"]),
         (("run", "--task", "x", "--sed", "1"), ["--sed", "--seed"]),
-        (("eval", "--seeds", "0"), ["'--seeds'", "1"]),
-        (("eval", "--workers", "0"), ["'--workers'", "1"]),
+        (("eval", "Mug", "--seeds", "0"), ["'--seeds'", "1"]),
+        (("eval", "Mug", "--workers", "0"), ["'--workers'", "1"]),
         (("demo", "--seed", "-1"), ["'--seed'", "0"]),
         (("frobnicate",), ["'frobnicate'"]),
     ],
@@ -222,7 +221,7 @@ def test_a_defect_of_the_program_has_a_status_of_its_own_and_no_traceback(monkey
         (*RUN, "--out", "taken"),
         (*RUN, "--out", "taken/below"),
         ("demo", "--out", "taken"),
-        ("eval", "--out", "taken"),
+        ("eval", "Mug", "--out", "taken"),
         ("show", "Hammer", "--out", "taken/scene.html"),
         ("diagram", "Hammer", "--out", "taken/hammer.svg"),
     ],
@@ -425,228 +424,3 @@ def test_noise_is_refused_for_a_camera_whose_noise_nobody_knows(tmp_path):
         "run", "--task", "use the hammer", "--noise", "--scenario-text", text, "--out", tmp_path
     )
     refused(done, "camera wrist", "!L515 {}", "!D435 {}")
-
-
-# --- eval ---------------------------------------------------------------------------------------
-
-
-def test_eval_runs_every_task_of_an_object_and_counts_failures(out_of_view, tmp_path):
-    run = _start(
-        "eval", "--scenarios", out_of_view.name, "--selectors", "top-score", "--seeds", "1",
-        "--workers", "1", "--json", "--out", "e", cwd=tmp_path,
-    )  # fmt: skip
-    out, err = run.communicate(timeout=120)
-    assert run.returncode == 0, err
-    (line,) = out.splitlines()
-    row, total = json.loads(line)["rows"]
-    assert (row["selector"], row["scenario"], row["n"], row["tasks"]) == (
-        "top-score", "behind.yaml", 1, 2,
-    )  # fmt: skip
-    assert (row["grasp"], row["task"], row["both"], row["failures"]) == (0, 0, 0, "1 no_grasp")
-    assert {**row, "scenario": "all"} == total
-    assert "INFO" not in err
-    lines = (tmp_path / "e" / "episodes.jsonl").read_text(encoding="utf-8").splitlines()
-    assert [json.loads(text)["task"] for text in lines] == ["use the hammer", "hand me the hammer"]
-
-
-def test_eval_asks_for_every_object_of_a_scenario(tmp_path):
-    two = _write_scenario(tmp_path / "two.yaml", _hammer_at(0.5, "left"), _hammer_at(0.7, "right"))
-    cells = make_cells([str(two)], ["oracle"], [0, 1], tasks=["handover"])
-    assert [(cell.object, cell.seed) for cell in cells] == [
-        ("left", 0), ("left", 1), ("right", 0), ("right", 1),
-    ]  # fmt: skip
-    assert {cell.tasks for cell in cells} == {("hand me the hammer",)}
-    assert len({cell.name for cell in cells}) == 4
-    assert not any("/" in cell.name for cell in cells)  # each names a picture
-
-
-def test_a_selector_that_does_not_read_the_task_runs_once_for_all_tasks():
-    tasks = ("use the hammer", "hand me the hammer")
-    blind = make_cells(["Hammer"], ["top-score"], [0], tasks=["use", "handover"])
-    reading = make_cells(["Hammer"], ["oracle"], [0], tasks=["use", "handover"])
-    assert [cell.tasks for cell in blind] == [tasks]
-    assert [cell.tasks for cell in reading] == [tasks[:1], tasks[1:]]
-
-
-def test_the_parts_are_named_in_turn_by_the_seed():
-    cells = make_cells(["Mug"], ["oracle"], [0, 1, 2], tasks=["part"])
-    assert [cell.tasks[0].split()[-1] for cell in cells] == ["handle", "body", "handle"]
-
-
-def test_groups_stand_for_all_single_objects_and_all_clutter():
-    objects, clutter, scans = (
-        scenario_names([group]) for group in ("objects", "clutter", "clutter-scans")
-    )
-    assert clutter == list(CLUTTER)
-    assert scans == [f"Tog29{name}" for name in clutter]
-    assert set(objects) == set(scenario_files()) - set(clutter) - set(SCANNED)
-
-
-def test_eval_refuses_an_unknown_kind_of_task(tmp_path):
-    done = tog("eval", "--scenarios", "Mug", "--tasks", "juggle", "--out", tmp_path / "e")
-    refused(done, "juggle", "use, handover, part")
-
-
-BAD_MODELS = {
-    "no model": (("--selectors", "vlm"), ["no model", "--vlm"]),
-    "no vlm": (("--selectors", "random", "--vlm", "openai:any"), ["--vlm", "--selectors"]),
-    "options alone": (("--strategy", "cpg"), ["--strategy", "--selectors"]),
-    "no key": (("--vlm", "anthropic:claude-sonnet-5-5"), ["ANTHROPIC_API_KEY"]),
-    "no cassette": (("--vlm", "replay:none.jsonl"), ["none.jsonl"]),
-    "no cassette to replay": (("--replay", "none.jsonl"), ["none.jsonl"]),
-    "deadline": (("--vlm", "openai:any@http://[::1]:9", "--deadline", "0"), ["deadline"]),
-    "strategy": (("--vlm", "openai:any@http://[::1]:9", "--strategy", "x"), ["'x'", "gsi"]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BAD_MODELS)
-def test_eval_says_what_is_wrong_with_a_model_before_it_starts(case, monkeypatch, tmp_path):
-    monkeypatch.delenv("ANTHROPIC_API_KEY", raising=False)
-    arguments, words = BAD_MODELS[case]
-    refused(tog("eval", "--scenarios", "Mug", *arguments, "--out", tmp_path / "e"), *words)
-    assert not (tmp_path / "e").exists()
-
-
-def _as_models_do(monkeypatch, *records):
-    """Lets episodes end as ``records``; returns the options and the cells that were run."""
-    ran = []
-
-    def in_processes(work, cells, workers):
-        for cell, record in zip(cells, records, strict=False):
-            ran.append((cell, work.keywords["options"]))
-            yield [record]
-
-    monkeypatch.setattr(evaluation, "in_processes", in_processes)
-    return ran
-
-
-EVAL_MODEL = ("eval", "--scenarios", "Mug", "--tasks", "use", "--vlm", "openai:any@http://[::1]:9")
-
-
-@pytest.mark.parametrize("fallback", ["fail", "geometric"])
-def test_eval_asks_a_model_and_stops_where_the_server_does_not_take_the_question(
-    fallback, monkeypatch, tmp_path
-):
-    by = fallback if fallback == "geometric" else None
-    outcome = "lifted" if by else "no_choice"
-    answered = _asked("lifted", "ok")
-    rejected = _asked(outcome, "rejected", by, "status 401\x1b: wrong key")
-    ran = _as_models_do(monkeypatch, answered, rejected, answered)
-    done = tog(*EVAL_MODEL, "--seeds", 3, "--fallback", fallback, "--out", tmp_path)
-    refused_at_last = done.err.splitlines()[-1]
-    assert (done.status, len(ran)) == (2, 2)
-    assert "does not take the question" in refused_at_last
-    assert "wrong key" in refused_at_last
-    assert "\x1b" not in done.err
-    assert {cell.selector for cell, _ in ran} == {"vlm"}
-    assert {(o.vlm, o.fallback) for _, o in ran} == {("openai:any@http://[::1]:9", fallback)}
-    assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
-
-
-def test_eval_stops_where_the_server_that_proposes_grasps_is_no_use(monkeypatch, tmp_path):
-    lost = {**_episode("Mug", "oracle", "no_proposal"), "message": "no grasps from http://gpu:1/x"}
-    ran = _as_models_do(monkeypatch, _episode("Mug", "oracle", "lifted"), lost, lost)
-    remote = ("--selectors", "oracle", "--proposer", "remote:http://gpu:1/x", "--tasks", "use")
-    done = tog("eval", *remote, "--scenarios", "Mug", "--seeds", 3, "--out", tmp_path)
-    assert (done.status, len(ran)) == (2, 2)
-    assert done.err.splitlines()[-1].endswith("the rest is not run: no grasps from http://gpu:1/x")
-    assert "of 3 episodes, those that ended before the trouble:" in done.out
-    (row,) = [line.split() for line in done.out.splitlines() if " Mug " in line]
-    assert row[5:9] == ["1", "│", "1", "│"], row  # the lost one is no failure
-    assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 2
-
-
-def test_eval_says_who_proposed_where_it_is_not_the_usual_one(monkeypatch, tmp_path):
-    by = {"kind": "remote", "url": "http://gpu:1/x"}
-    _as_models_do(monkeypatch, {**_episode("Mug", "oracle", "lifted"), "proposer": by})
-    mug = ("--selectors", "oracle", "--tasks", "use", "--scenarios", "Mug", "--seeds", 1)
-    done = tog("eval", *mug, "--out", tmp_path)
-    assert done.status == 0, done.err
-    assert done.out.index("proposer: remote:http://gpu:1/x") < done.out.index("scenario")
-    _as_models_do(monkeypatch, _episode("Mug", "oracle", "lifted"))
-    assert "proposer:" not in tog("eval", *mug, "--out", tmp_path).out
-
-
-def _asked(outcome, status, fallback=None, message=""):
-    vlm = {
-        "strategy": "gsi", "model": "openai:any", "status": status, "fallback": fallback,
-        "exchanges": [{"message": message}],
-    }  # fmt: skip
-    return {**_episode("Mug", "vlm", outcome), "vlm": vlm, "message": message}
-
-
-def test_why_there_was_no_choice_and_what_the_fallback_did_is_in_the_table():
-    failed = [_asked("no_choice", s) for s in ("refused", "unreachable", "unreachable")]
-    (row, _) = tables.summarize([*failed, _asked("slipped", "ok"), _asked("lifted", "ok")])
-    assert row["failures"] == "3 no_choice (unreachable 2, refused 1), 1 slipped"
-    replaced = [_asked("lifted", "timed_out", "geometric"), _asked("empty", "empty", "geometric")]
-    (row, _) = tables.summarize([*replaced, _asked("lifted", "ok")])
-    assert row["failures"] == "1 empty, by fallback 2 (timed_out 1, empty 1)"
-
-
-def test_eval_takes_lists_with_spaces(monkeypatch, tmp_path):
-    asked = []
-
-    def evaluate(cells, **rest):
-        asked.extend((cell.scenario, cell.selector, cell.seed) for cell in cells)
-        return [_episode("Mug", "random", "lifted")]
-
-    monkeypatch.setattr(evaluation, "evaluate", evaluate)
-    done = tog(
-        "eval", "--scenarios", "Hammer, Mug", "--selectors", "random ,oracle", "--seeds", 2,
-        "--tasks", "use", "--out", tmp_path,
-    )  # fmt: skip
-    assert done.status == 0, done.err
-    assert sorted(asked) == sorted(product(["Hammer", "Mug"], ["random", "oracle"], [0, 1]))
-
-
-def _episode(scenario, selector, outcome, compliance=True, seed=0):
-    lifted = outcome == "lifted"
-    return {
-        "object": "thing", "seed": seed, "task": "use it", "message": None, "held": {},
-        "closes_on": None,
-        "scenario": scenario, "proposer": {"kind": "antipodal"}, "selector": {"kind": selector},
-        "vlm": None, "outcome": outcome,
-        "grasp_success": lifted, "task_compliance": compliance,
-        "combined_success": lifted and compliance, "strict_success": lifted, "collisions": {},
-    }  # fmt: skip
-
-
-def test_rates_are_shares_of_all_episodes_with_a_row_for_all():
-    records = [
-        _episode("Hammer", "random", "lifted"),
-        _episode("Hammer", "random", "lifted", compliance=False, seed=1),
-        _episode("Mug", "random", "slipped"),
-        _episode("Mug", "random", "no_grasp", compliance=False, seed=1),
-        _episode("Hammer", "oracle", "lifted"),
-    ]
-    rows = {(r["selector"], r["scenario"]): r for r in tables.summarize(records)}
-    assert list(rows) == [
-        ("random", "Hammer"), ("random", "Mug"), ("random", "all"),
-        ("oracle", "Hammer"), ("oracle", "all"),
-    ]  # fmt: skip
-    assert {k: rows["random", "Hammer"][k] for k in ("n", "grasp", "task", "both")} == {
-        "n": 2, "grasp": 1.0, "task": 0.5, "both": 0.5
-    }  # fmt: skip
-    assert rows["random", "Mug"]["failures"] == "1 slipped, 1 no_grasp"
-    everything = rows["random", "all"]
-    assert (everything["n"], everything["grasp"], everything["both"]) == (4, 0.5, 0.25)
-    assert rows["oracle", "all"]["failures"] == ""
-
-
-def test_an_episode_that_serves_two_tasks_is_one_grasp():
-    records = [
-        _episode("Hammer", "top-score", "lifted"),
-        _episode("Hammer", "top-score", "lifted", compliance=False),
-        _episode("Hammer", "top-score", "empty", compliance=False, seed=1),
-    ]
-    row, _ = tables.summarize(records)
-    assert (row["n"], row["tasks"]) == (2, 3)
-    assert (row["grasp"], row["both"], row["failures"]) == (0.5, 1 / 3, "1 empty")
-
-
-def test_intervals_are_wilsons():
-    # Worked by hand: (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n), p = 0.9, n = 10, z = 1.96.
-    low, high = tables.wilson(9, 10)
-    assert (low, high) == pytest.approx((0.5958, 0.9821), abs=1e-4)
-    assert tables.wilson(10, 10)[1] == 1.0

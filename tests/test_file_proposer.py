@@ -451,8 +451,6 @@ RUN = ("run", "--no-meshcat", "--task", "use the hammer")
         ("file:nowhere.npz", ["no file of grasps 'nowhere.npz'"]),
     ],
 )
-@pytest.mark.parametrize("command", [RUN, ("eval", "--scenarios", "Hammer")])
-def test_a_proposer_that_cannot_be_made_is_one_line_before_anything_starts(
-    command, given, words, tmp_path
-):
-    refused(tog(*command, "--proposer", given, "--out", tmp_path / "out"), *words)
+def test_a_proposer_that_cannot_be_made_is_one_line_before_anything_starts(given, words, tmp_path):
+    for command in ((*RUN, "--proposer"), ("eval", "Hammer", "--proposers")):
+        refused(tog(*command, given, "--out", tmp_path / "out"), *words)

@@ -9,10 +9,10 @@ from command import refused, tog
 from test_replay import same
 from vlm_server import KEY, VlmServer
 
-from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.episode import build_world, look
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
+from tog_drake.scenario import load_scenario
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.recorded import Recorded
 
@@ -28,7 +28,7 @@ def config(**options):
 
 def looked(pipeline):
     """What a pipeline's selector is given in a real scene, and what it chooses."""
-    scenario = cell_scenario(Cell("Hammer", "", "vlm", 0, (TASK,), False, None))
+    scenario = load_scenario("Hammer")
     scenario.pipeline.selector = pipeline.selector
     world = build_world(scenario, task=TASK)
     simulator = look(world, scenario, TASK)
@@ -104,10 +104,16 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
         return _Looked(problem="no grasp") if cell.seed else _Looked()
 
     monkeypatch.setattr(vlm_export, "_look_at", look_at)
-    monkeypatch.setattr(vlm_export, "in_processes", lambda work, cells, workers: map(work, cells))
+    monkeypatch.setattr(
+        vlm_export, "in_processes", lambda work, cells, workers: [(c, work(c)) for c in cells]
+    )
+    suite = tmp_path / "two.yaml"
+    suite.write_text(
+        "groups: [{objects: [hammer, mug], tasks: [{category: use, task: 'use the {object}'}]}]"
+    )
     done = tog(
-        "vlm", "export", "--cassette", tmp_path / "t.jsonl", *MODEL, "--out", tmp_path / "out",
-        "--scenarios", "Hammer,Mug", "--tasks", "use", "--seeds", 2, "--strategy", "gmi",
+        "vlm", "export", suite, "--cassette", tmp_path / "t.jsonl", *MODEL, "--seeds", 2,
+        "--strategy", "gmi", "--out", tmp_path / "out",
     )  # fmt: skip
     assert done.status == 0, done.err
     assert [(cell.scenario, cell.seed) for cell in cells] == [
@@ -115,19 +121,19 @@ def test_a_suite_is_exported_as_far_as_it_comes(tmp_path, monkeypatch):
     ]  # fmt: skip
     assert "2 decided, 0 waiting for answers, 2 without a question" in done.out
     assert "no question: Mug, seed 1: use the mug: no grasp" in done.out
-    assert f"go on: tog eval --vlm replay:{tmp_path / 't.jsonl'}" in done.out
+    assert f"go on: tog eval {suite} --vlm replay:{tmp_path / 't.jsonl'}" in done.out
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ((), ("--task for one scenario, or --scenarios",)),
-        (("--task", TASK, "--scenarios", "objects"), ("--task for one scenario, or", "not both")),
-        (("--scenarios", "objects", "--seed", 3), ("--seeds",)),
+        ((), ("--task for one scenario, or a suite",)),
+        (("builtin", "--task", TASK), ("--task for one scenario, or", "not both")),
+        (("builtin", "--seed", 3), ("--seeds",)),
         (("--task", "..."), ("no words",)),
         (("--task", TASK, "--strategy", "gpt"), ("strategy", "gsi, cpsi")),
         (("--task", TASK, "--scenario", "Hamer"), ("Hamer",)),
-        (("--scenarios", "Hammer", "--tasks", "juggle"), ("juggle", "use, handover, part")),
+        (("juggling",), ("'juggling'", "builtin", "tog29")),
         (("--task", TASK, "--vlm", "openai:my-own"), ("my-own", "profile")),
     ],
 )

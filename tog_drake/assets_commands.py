@@ -136,9 +136,13 @@ def fetch(
 
 
 def _objects_of(suite: str) -> list[str]:
-    from tog_drake.benchmark.suite import load_suite, suite_files
+    from tog_drake.benchmark.suite import is_imported, load_suite, suite_files
 
-    return [trial.object for trial in load_suite(valid(suite, suite_files(), "suite"))]
+    valid(suite, suite_files(), "suite")
+    objects = [trial.object for trial in load_suite(suite).trials if is_imported(trial.object)]
+    if not objects:
+        raise InputError(f"the suite {suite} has no imported objects; there is nothing to fetch")
+    return objects
 
 
 @app.command("list", epilog="Example: tog assets list --json")

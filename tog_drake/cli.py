@@ -8,9 +8,10 @@ from typing import NoReturn
 import typer
 
 from tog_drake.assets_commands import app as assets_app
+from tog_drake.benchmark_commands import evaluate_
 from tog_drake.errors import TogError
 from tog_drake.look_commands import diagram, doctor, scenarios, show
-from tog_drake.run_commands import choose, demo, evaluate_, run
+from tog_drake.run_commands import choose, demo, run
 from tog_drake.serve_commands import app as serve_app
 from tog_drake.terminal import keep_drake_quiet
 from tog_drake.visible_text import visible
@@ -36,7 +37,7 @@ for _name, _command, _example in (
         "tog choose --rgb color.png --depth depth.png --intrinsics camera.json "
         '--task "hold the red mug by the handle"',
     ),
-    ("eval", evaluate_, "tog eval --selectors top-score,oracle --seeds 5 --workers 2"),
+    ("eval", evaluate_, "tog eval builtin --selectors top-score,oracle --workers 2"),
     ("scenarios", scenarios, "tog scenarios"),
     ("show", show, "tog show Hammer --out hammer.html"),
     ("diagram", diagram, "tog diagram Hammer --out hammer.svg"),

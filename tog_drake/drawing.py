@@ -216,6 +216,13 @@ def encode_png(rgb: Image, *, compression: int = 1) -> bytes:
     return cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)[1].tobytes()
 
 
+def encode_jpg(rgb: Image) -> bytes:
+    """Returns the image as a JPEG file."""
+    import cv2
+
+    return cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
 _SHIFT = 4  # cv2 takes pixels as integers in units of 2^-4: lines keep their subpixel place
 
 

@@ -17,6 +17,8 @@ from tog_drake.files import check_file
 
 if TYPE_CHECKING:
     from tog_drake.benchmark.cells import Cell
+    from tog_drake.benchmark.method import Method
+    from tog_drake.benchmark.suite import Suite
     from tog_drake.pipeline import PipelineConfig, ProposerConfig
     from tog_drake.selectors.vlm.selector import Vlm
 
@@ -270,32 +272,45 @@ def _put(config: "PipelineConfig", kind: "type[ProposerConfig]", **fields: str) 
         setattr(config.proposer, name, value)
 
 
+SuiteArgument = Annotated[
+    str,
+    typer.Argument(
+        help="builtin | household | kitchen | tools | tog29; a scenario, all of whose objects are "
+        "asked for; or a YAML file of either."
+    ),
+]
+
+
 @dataclass(frozen=True)
 class SuiteOptions:
-    """What is run of the scenarios of a suite, and in how many processes."""
+    """How a suite is run."""
 
-    tasks: Annotated[
-        str, typer.Option(help="Asked of --scenarios, comma-separated: use, handover, part.")
-    ] = "use,handover"
     seeds: Annotated[
-        int, typer.Option(min=1, help="Poses of each object in --scenarios: seeds 0 .. N-1.")
-    ] = 5
+        int | None,
+        typer.Option(min=1, help="Each trial with seeds 0 .. N-1; by default as the suite says."),
+    ] = None
     noise: NoiseOption = False
     scenario_text: ScenarioText = None
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2
 
-    def cells(self, scenarios: str, selectors: Sequence[str]) -> "list[Cell]":
-        """Returns the episodes; ``scenarios`` is comma-separated. Raises as ``make_cells``."""
-        from tog_drake.benchmark.cells import make_cells, scenario_names
+    def cells(self, suite: "Suite", methods: "Sequence[Method]") -> "list[Cell]":
+        """Returns the episodes. Raises as ``make_cells``."""
+        from tog_drake.benchmark.cells import make_cells
 
-        return make_cells(
-            scenario_names(names(scenarios)),
-            selectors,
-            range(self.seeds),
-            tasks=names(self.tasks),
-            noise=self.noise,
-            text=self.scenario_text,
-        )
+        seeds = range(self.seeds or suite.seeds)
+        return make_cells(suite, methods, seeds, noise=self.noise, text=self.scenario_text)
+
+
+def put_k(config: "PipelineConfig", k: str | None) -> None:
+    """Puts the number of candidates into the config of a pipeline; None leaves the scenario's.
+
+    Raises:
+        InputError: it is no number of candidates.
+    """
+    from tog_drake.candidates import candidate_counts
+
+    if k is not None:
+        config.candidates.k = k
+        candidate_counts(config.candidates)
 
 
 def spread(

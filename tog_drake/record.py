@@ -105,6 +105,7 @@ OUTCOMES = {
     "no_choice": "the selector could not decide",
     "no_plan": "no motion to the chosen grasp passed the checks",
     "collision": "the arm hit something it knew of, or no longer followed its command",
+    "broken": "the program failed; traceback.txt beside it says where",
     "chosen": "a grasp was chosen on a saved view; nothing was executed",
 }
 

@@ -1,13 +1,11 @@
-"""The commands that run the pipeline: ``tog run``, ``demo``, ``choose`` and ``eval``."""
+"""The commands that run the pipeline once: ``tog run``, ``demo`` and ``choose``."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tog_drake.errors import InputError
 from tog_drake.files import check_folder
 from tog_drake.options import (
     DEFAULT_SCENARIO,
@@ -19,28 +17,20 @@ from tog_drake.options import (
     ScenarioText,
     SeedOption,
     SelectorOptions,
-    SuiteOptions,
     TaskOption,
-    names,
+    put_k,
     spread,
-    valid,
 )
 from tog_drake.terminal import (
     console_for,
     deciding,
-    print_failures,
     print_json,
-    print_origins,
-    print_rates,
     print_stages,
     say,
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from tog_drake.pipeline import PipelineConfig
-    from tog_drake.record import EpisodeRecord
+    pass
 
 DEMO_TASKS = {
     "use": "use the hammer to drive a nail",
@@ -92,7 +82,7 @@ def run(
     loaded = load_scenario(name, scenario_text, seed=seed)
     selector.apply(loaded.pipeline, fallback="geometric")
     proposer.apply(loaded.pipeline)
-    _override(loaded.pipeline, k)
+    put_k(loaded.pipeline, k)
     if loaded.asset is not None and object_ is not None:
         loaded.asset = object_
     if noise:
@@ -179,7 +169,7 @@ def choose(
     config = PipelineConfig()
     selector.apply(config, fallback="geometric")
     proposer.apply(config)
-    _override(config, k)
+    put_k(config, k)
     view = load_view(rgb, depth, intrinsics, units_per_metre=depth_scale)
     X_WC = None if camera_pose is None else load_pose(camera_pose)
     with console.status(f"{deciding(config.selector)} ..."):
@@ -198,90 +188,3 @@ def choose(
     say(console, f"report: {out / 'report.html'}")
     print_json(as_json, episode)
     raise typer.Exit(0 if decision.error is None else 1)
-
-
-def _override(config: "PipelineConfig", k: str | None) -> None:
-    from tog_drake.candidates import candidate_counts
-
-    if k is not None:
-        config.candidates.k = k
-        candidate_counts(config.candidates)  # a wrong K is refused before anything starts
-
-
-@spread(without=["selector"])
-def evaluate_(
-    *,
-    selectors: Annotated[
-        str | None,
-        typer.Option(help="Comma-separated; by default top-score,oracle, or vlm with --vlm."),
-    ] = None,
-    options: SelectorOptions,
-    proposer: ProposerOptions,
-    scenarios: Annotated[
-        str,
-        typer.Option(
-            help="Comma-separated; `objects` is every single object, `clutter` all three, "
-            "`clutter-scans` those of imported objects, `tog29` a suite of them with its tasks."
-        ),
-    ] = "objects",
-    suite: SuiteOptions,
-    out: Annotated[
-        Path, typer.Option(help="Folder for episodes.jsonl and pictures of the failures.")
-    ] = Path("out/eval"),
-    as_json: JsonOption = False,
-) -> None:
-    """Run objects, seeds and tasks with each selector, and print the table of successes."""
-    from tog_drake.evaluation import Stopped, evaluate
-    from tog_drake.pipeline import SELECTORS
-    from tog_drake.selectors.oracle import ORACLE_NOTE
-
-    console = console_for(as_json)
-    check_folder(out)
-    chosen = names(selectors or ("vlm" if options.names_model else "top-score,oracle"))
-    for selector in chosen:
-        valid(selector, SELECTORS, "selector")
-    if "vlm" not in chosen and options.given():
-        raise InputError(
-            f"{', '.join(options.given())}: only a model is asked so; valid: with vlm among the "
-            "--selectors"
-        )
-    cells = suite.cells(scenarios, chosen)
-    try:
-        records = evaluate(
-            cells,
-            workers=suite.workers,
-            out=out,
-            console=console,
-            options=options,
-            proposer=proposer,
-        )
-    except Stopped as stopped:
-        if stopped.records:
-            say(console, f"of {len(cells)} episodes, those that ended before the trouble:")
-            _print_successes(console, stopped.records, scenarios)
-        raise
-    found = _print_successes(console, records, scenarios)
-    if "oracle" in chosen:
-        say(console, f"oracle: {ORACLE_NOTE}")
-    print_json(as_json, found | ({"oracle": ORACLE_NOTE} if "oracle" in chosen else {}))
-
-
-def _print_successes(
-    console: "Console", records: "Sequence[EpisodeRecord]", scenarios: str
-) -> "dict[str, Any]":
-    """Prints who proposed and the tables of what came of it; returns them for a program."""
-    from tog_drake.benchmark.suite import rows_of_suites
-    from tog_drake.benchmark.tables import agreement, failures, summarize
-
-    rows, failed = summarize(records, rows_of_suites(names(scenarios))), failures(records)
-    same = agreement(records)
-    print_origins(console, [record["proposer"] for record in records])
-    print_rates(console, rows)
-    print_failures(console, failed)
-    say(
-        console,
-        f"the part between the fingers is the one that the pads press in {same['agree']} of "
-        f"{same['n']} lifts; where both are four fifths one part, in {same['clear_agree']} of "
-        f"{same['clear']}",
-    )
-    return {"rows": rows, "failures": failed, "agreement": same}

@@ -75,27 +75,33 @@ def print_json(as_json: bool, content: Any) -> None:
 
 def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     """The table of successes; each rate with its 95 % interval."""
-    rates = ("grasp", "strict", "task", "both")
-    table = Table("selector", "scenario", "n", "tasks", *rates, "collisions", "failures")
+    from tog_drake.benchmark.tables import RATES
+
+    table = Table("method", "group", "n", "tasks", *RATES, "collisions", "failures")
     for row in rows:
-        intervals = (f"{row[r]:.2f} [{row[r + '_low']:.2f}, {row[r + '_high']:.2f}]" for r in rates)
         table.add_row(
-            row["selector"],
-            row["scenario"],
+            visible(row["method"]),
+            visible(row["group"]),
             str(row["n"]),
             str(row["tasks"]),
-            *intervals,
+            *(_rate(row, rate) for rate in RATES),
             str(row["collisions"]),
             row["failures"],
         )
     console.print(table)
 
 
+def _rate(row: "Mapping[str, Any]", rate: str) -> str:
+    if row[rate] is None:
+        return "-"
+    return f"{row[rate]:.2f} [{row[rate + '_low']:.2f}, {row[rate + '_high']:.2f}]"
+
+
 def print_failures(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     """The table of what failed, and why; nothing where nothing did."""
     if not rows:
         return
-    columns = ("selector", "n", "outcome", "reason", "objects")
+    columns = ("method", "n", "outcome", "reason", "objects")
     table = Table(*columns, title="what failed", title_justify="left")
     for row in rows:
         table.add_row(*(visible(str(row[column])) for column in columns))

@@ -13,6 +13,7 @@ from tog_drake.options import (
     MODEL_FORMS,
     MODEL_HELP,
     JsonOption,
+    KOption,
     ProfileOption,
     RenderingOption,
     ScenarioOption,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tog_drake.benchmark.cells import Cell
+    from tog_drake.benchmark.method import Method
     from tog_drake.vlm_export import Exported
 
 app = typer.Typer(
@@ -137,10 +139,13 @@ def check(
 @app.command(
     "export",
     epilog="Example: tog vlm export --vlm gemini:gemini-3.8-flash --cassette mugs.jsonl "
-    "--scenarios Mug,Cup --seeds 5",
+    "builtin --seeds 5",
 )
 @spread(without=["selector", "fallback", "record", "replay", "deadline"])
 def export(
+    suite: Annotated[
+        str | None, typer.Argument(help="As of tog eval: all its episodes are asked for.")
+    ] = None,
     *,
     cassette: Annotated[
         Path, typer.Option(help="File with the answers so far; the questions go there too.")
@@ -154,11 +159,9 @@ def export(
         str | None, typer.Option("--object", help="Which object the task is about.")
     ] = None,
     seed: SeedOption = None,
-    scenarios: Annotated[
-        str | None,
-        typer.Option(help="A suite, as of tog eval: comma-separated, `objects` or `clutter`."),
-    ] = None,
-    suite: SuiteOptions,
+    runs: SuiteOptions,
+    k: KOption = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     out: Annotated[
         Path, typer.Option(help="Folder for the batch files, the page and the blank answers.")
     ] = Path("out/vlm-export"),
@@ -168,50 +171,58 @@ def export(
 
     Only what the cassette has no answer to. Nothing is sent, and no key is needed.
     """
+    from tog_drake.benchmark.method import Method
+    from tog_drake.benchmark.suite import load_suite
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
     check_folder(out)
     check_file(cassette, "--cassette")
-    if (task is None) == (scenarios is None):
+    if (task is None) == (suite is None):
         both = "" if task is None else ", not both"
-        raise InputError(
-            f"what is to be asked? valid: --task for one scenario, or --scenarios{both}"
-        )
-    if scenarios is not None and any(x is not None for x in (scenario, object_, seed)):
-        raise InputError("--scenario, --object and --seed go with --task; valid: --seeds, --tasks")
-    if scenarios is None:
-        cells = [_cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, suite)]
+        raise InputError(f"what is to be asked? valid: --task for one scenario, or a suite{both}")
+    if suite is not None and any(x is not None for x in (scenario, object_, seed)):
+        raise InputError("--scenario, --object and --seed go with --task; valid: --seeds")
+    method = Method("vlm", k=k)
+    if suite is None:
+        cells = [_cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, runs, method)]
     else:
-        cells = suite.cells(scenarios, ["vlm"])
+        cells = runs.cells(load_suite(suite, runs.scenario_text), [method])
     exported = export_questions(
         cells,
         replace(options, selector="vlm", fallback="fail"),
         cassette=cassette,
         out=out,
-        workers=suite.workers,
+        workers=workers,
         console=console,
     )
     _say_exported(console, exported, cassette, out)
     if not exported.questions:
-        command = "run" if scenarios is None else "eval"
+        command = "run" if suite is None else f"eval {suite}"
         say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
 
 
 def _cell(
-    task: str, scenario: str, object_: str | None, seed: int | None, suite: SuiteOptions
+    task: str,
+    scenario: str,
+    object_: str | None,
+    seed: int | None,
+    runs: SuiteOptions,
+    method: "Method",
 ) -> "Cell":
     """Returns the one episode that is asked for; raises InputError where it makes no sense."""
     from tog_drake.benchmark.cells import Cell
+    from tog_drake.benchmark.suite import Trial
     from tog_drake.scenario import load_scenario
     from tog_drake.task import read_task
 
     read_task(task)
     if seed is None:
-        seed = load_scenario(scenario, suite.scenario_text).random_seed
-    return Cell(scenario, object_ or "", "vlm", seed, (task,), suite.noise, suite.scenario_text)
+        seed = load_scenario(scenario, runs.scenario_text).random_seed
+    asked = Trial(object_ or "", task, "", frozenset(), scenario)
+    return Cell(0, method, seed, (asked,), runs.noise, runs.scenario_text)
 
 
 def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:

@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
-from tog_drake.benchmark.processes import in_processes
+from tog_drake.benchmark.processes import in_order, in_processes
 from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
-from tog_drake.options import SelectorOptions
+from tog_drake.options import SelectorOptions, put_k
 from tog_drake.pipeline import make_selector
 from tog_drake.scenario import Scenario
 from tog_drake.selector import Selector
@@ -81,15 +81,19 @@ def export_questions(
         InputError: a cell or an option makes no sense, or ``out`` holds answers not yet imported.
     """
     tape = Cassette(cassette, "export")
-    _selector(cell_scenario(cells[0]), options, cassette)  # to hear now what is wrong
+    _selector(
+        cell_scenario(cells[0]), options, cells[0].method.k, cassette
+    )  # to hear now what is wrong
     _check_imported(out / "answers.jsonl", tape)
     export, exported = Export(out), Exported()
     with Progress(console=console) as progress:
         bar = progress.add_task("episodes", total=len(cells))
         work = partial(_look_at, options=options, cassette=cassette)
-        looked_at = in_processes(work, cells, workers) if len(cells) > 1 else map(work, cells)
+        alone = len(cells) == 1
+        ended = in_processes(work, cells, workers)
+        looked_at = map(work, cells) if alone else in_order(cells, ended)
         for cell, looked in zip(cells, looked_at, strict=True):
-            about = f"{cell.scenario}, seed {cell.seed}: {cell.tasks[0]}"
+            about = f"{cell.scenario}, seed {cell.seed}: {cell.task}"
             for request in looked.requests:
                 tape.add_pending(request)
                 export.add(request, about)
@@ -100,11 +104,14 @@ def export_questions(
     return exported
 
 
-def _selector(scenario: Scenario, options: SelectorOptions, cassette: Path) -> Selector:
+def _selector(
+    scenario: Scenario, options: SelectorOptions, k: str | None, cassette: Path
+) -> Selector:
     """Returns what the scenario is to be decided by, and takes it out of its pipeline: only here
     can it be asked for questions that wait."""
     config = scenario.pipeline
     options.apply(config, asks=False)
+    put_k(config, k)
     selector = make_selector(config, scenario.random_seed, export=cassette)
     config.selector = Geometric()  # is not asked
     return selector
@@ -114,15 +121,15 @@ def _look_at(cell: Cell, options: SelectorOptions, cassette: Path) -> _Looked:
     """Runs an episode as far as its choice."""
     scenario = cell_scenario(cell)
     try:
-        selector = _selector(scenario, options, cassette)
-        world = build_world(scenario, target=cell.object or None, task=cell.tasks[0])
-        simulator = look(world, scenario, cell.tasks[0])
+        selector = _selector(scenario, options, cell.method.k, cassette)
+        world = build_world(scenario, target=cell.object or None, task=cell.task)
+        simulator = look(world, scenario, cell.task)
         context = world.pipeline.GetMyContextFromRoot(simulator.get_context())
         view, cloud, candidates = (
             world.pipeline.GetOutputPort(port).Eval(context)
             for port in ("view", "cloud", "candidates")
         )
-        selector.select(view, cloud, candidates, cell.tasks[0])
+        selector.select(view, cloud, candidates, cell.task)
     except QuestionPending as pending:
         return _Looked(requests=pending.requests)
     except EpisodeError as error:

@@ -6,7 +6,7 @@ Run by itself: ``pytest tests/benchmarks/bench_candidates.py``. It reads the sim
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from tog_drake.benchmark.cells import scenario_names
+from tog_drake.benchmark.suite import load_suite
 from tog_drake.candidates import CandidatesConfig, pick_candidates
 from tog_drake.episode import build_world
 from tog_drake.judge import COMPLIANT_SHARE
@@ -20,7 +20,7 @@ SEEDS = (0, 1)
 def looks():
     """Of every object and seed the feasible grasps, with the shares of parts that each holds."""
     found = []
-    for name in scenario_names(["objects"]):
+    for name in {trial.scenario: None for trial in load_suite("builtin").trials}:
         for seed in SEEDS:
             scenario = load_scenario(name)
             scenario.random_seed = seed

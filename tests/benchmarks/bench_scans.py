@@ -13,12 +13,12 @@ import pytest
 
 from tog_drake import episode
 from tog_drake.assets.library import asset_names
-from tog_drake.benchmark.suite import SCENARIO, load_suite, suite_files
+from tog_drake.benchmark.suite import SCENARIO, load_suite
 from tog_drake.judge import Judge
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.oracle import Oracle
 
-TASKS = {trial.object: trial.task for trial in reversed(load_suite(suite_files()["tog29"]))}
+TASKS = {trial.object: trial.task for trial in reversed(load_suite("tog29").trials)}
 """Of each object the first."""
 OBJECTS = [name for name in asset_names() if name in TASKS]
 

@@ -1,0 +1,144 @@
+"""One cell, run: the lines that the journal gets of it, and the files that show what happened."""
+
+import gzip
+import io
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tog_drake.benchmark.cells import Cell, cell_scenario
+from tog_drake.benchmark.journal import PICTURES, JudgeRecord, Line
+from tog_drake.benchmark.judging import VlmJudge
+from tog_drake.benchmark.processes import Broken
+from tog_drake.benchmark.suite import Trial
+from tog_drake.drawing import decision_image, encode_jpg, encode_png
+from tog_drake.episode import Episode, load_objects, run_episode
+from tog_drake.errors import InputError
+from tog_drake.files import write_atomically
+from tog_drake.judge import complies
+from tog_drake.object_parts import ObjectParts
+from tog_drake.options import SelectorOptions
+from tog_drake.pipeline import Decision
+from tog_drake.record import EpisodeRecord, new_record
+from tog_drake.scenario import Scenario
+from tog_drake.sharing import SharedWork
+from tog_drake.visualization import make_meshcat
+from tog_drake.vlm_record import exchanges_of
+
+SHARED = "shared"  # folder of what episodes share, in that of the run
+
+
+@dataclass(frozen=True)
+class EpisodeWork:
+    """How the cells of a run are run."""
+
+    folder: Path  # of the run
+    options: SelectorOptions = field(default_factory=SelectorOptions)  # how a model is asked
+    checkpoint: Path | None = None  # weights, for the proposers that have any
+    judge: str | None = None  # a model that judges besides, such as "vlm:gemini:NAME"
+    replays: bool = False  # whether each is recorded, to be played in a browser
+
+    def configured(self, cell: Cell) -> Scenario:
+        """Returns the scenario of a cell with its method.
+
+        Raises:
+            InputError: it cannot be run so.
+        """
+        scenario = cell_scenario(cell)
+        cell.method.apply(scenario.pipeline, self.options, self.checkpoint)
+        return scenario
+
+    def __call__(self, cell: Cell) -> list[Line]:
+        """Runs a cell; its files are there before this returns. Raises InputError with its name."""
+        try:
+            scenario = self.configured(cell)
+            labels = load_objects(scenario)[cell.object]
+            episode = run_episode(
+                scenario,
+                name=cell.scenario,
+                task=cell.task,
+                target=cell.object,
+                meshcat=make_meshcat() if self.replays else None,
+                shared=SharedWork(self.folder / SHARED),
+            )
+        except InputError as error:
+            raise InputError(f"{cell.name}: {error}") from error
+        save_files(self.folder / PICTURES / cell.name, episode)
+        return [
+            Line(
+                cell=cell.record(trial),
+                record=_judged_for(trial.task, episode.record, labels),
+                judge=self._judged(episode.decision, trial),
+            )
+            for trial in cell.trials
+        ]
+
+    def _judged(self, decision: Decision, trial: Trial) -> JudgeRecord | None:
+        return None if self.judge is None else VlmJudge(self.judge).judge(decision, trial.task)
+
+    def broken(self, cell: Cell, broken: Broken) -> list[Line]:
+        """Returns the lines of a cell in which the program itself failed, and keeps why."""
+        folder = self.folder / PICTURES / cell.name
+        write_atomically(folder / "traceback.txt", broken.traceback)
+        scenario = self.configured(cell)
+        labels = load_objects(scenario)[cell.object]
+        record = new_record(Decision(), scenario.pipeline, task=cell.task, seed=cell.seed)
+        record["scenario"], record["object"] = cell.scenario, cell.object
+        record["outcome"], record["message"] = "broken", broken.message
+        record["grasp_success"] = record["strict_success"] = False
+        record["noise"] = cell.noise
+        return [
+            Line(cell=cell.record(t), record=_judged_for(t.task, record, labels), judge=None)
+            for t in cell.trials
+        ]
+
+
+def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> EpisodeRecord:
+    """The record of the same episode, had the robot been told another task: it reads none."""
+    allowed = labels.allowed(task)
+    judged = record.copy()
+    judged["task"] = task
+    judged["allowed"] = None if allowed is None else sorted(allowed)
+    judged["task_compliance"] = complies(record["held"], allowed)
+    judged["combined_success"] = (
+        None if allowed is None else record["grasp_success"] and judged["task_compliance"]
+    )
+    return judged
+
+
+def save_files(folder: Path, episode: Episode) -> None:
+    """Writes what shows an episode.
+
+    ``view.jpg`` is what was seen and decided, ``sent-N.png`` are the images that a model was shown
+    at the last look, ``grasps.npz`` has the feasible grasps (arrays as of ``Grasps``; the rows
+    ``candidates`` (K,); the row ``chosen``, −1: none), ``replay.html.gz`` plays the episode.
+    """
+    decision = episode.decision
+    if decision.view is not None:
+        image = decision_image(decision.view, decision.candidates, decision.choice)
+        write_atomically(folder / "view.jpg", encode_jpg(image))
+    sent = [image for exchange in exchanges_of(decision) for image in exchange.images]
+    for number, image in enumerate(sent, 1):
+        write_atomically(folder / f"sent-{number}.png", encode_png(image, compression=6))
+    if decision.feasible_grasps is not None:
+        write_atomically(folder / "grasps.npz", _grasps(decision))
+    if episode.replay is not None:
+        page = gzip.compress(episode.replay.encode(), mtime=0)
+        write_atomically(folder / "replay.html.gz", page)
+
+
+def _grasps(decision: Decision) -> bytes:
+    grasps, candidates, choice = decision.feasible_grasps, decision.candidates, decision.choice
+    assert grasps is not None
+    data = io.BytesIO()
+    np.savez_compressed(
+        data,
+        X_WG=grasps.X_WG,
+        width=grasps.width,
+        score=grasps.score,
+        p_WContact=grasps.p_WContact,
+        candidates=np.zeros(0, np.int64) if candidates is None else candidates.index,
+        chosen=-1 if choice is None else choice.index,
+    )
+    return data.getvalue()

@@ -1,0 +1,184 @@
+"""The commands about many episodes: ``tog eval``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tog_drake.errors import InputError
+from tog_drake.files import check_folder
+from tog_drake.options import (
+    MODEL_HELP,
+    JsonOption,
+    SelectorOptions,
+    SuiteArgument,
+    SuiteOptions,
+    names,
+    spread,
+)
+from tog_drake.terminal import (
+    console_for,
+    print_failures,
+    print_json,
+    print_origins,
+    print_rates,
+    say,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from tog_drake.benchmark.journal import Line
+    from tog_drake.benchmark.method import Method
+
+
+@spread(without=["selector", "strategy", "vlm"])
+def evaluate_(
+    suite: SuiteArgument,
+    *,
+    selectors: Annotated[
+        str | None,
+        typer.Option(
+            help="Comma-separated: top-score, random, oracle, geometric, vlm; by default "
+            "top-score,oracle, or vlm where a model is named."
+        ),
+    ] = None,
+    strategies: Annotated[
+        str | None,
+        typer.Option(help="How models are asked, comma-separated: gsi, cpsi ...; see tog prompts."),
+    ] = None,
+    vlm: Annotated[
+        list[str] | None, typer.Option(help=f"{MODEL_HELP} Or replay:FILE. Once for each.")
+    ] = None,
+    proposers: Annotated[
+        str | None, typer.Option(help="Who suggests grasps, comma-separated, as of tog run.")
+    ] = None,
+    k: Annotated[
+        str | None, typer.Option(help="How many candidates, comma-separated: 2,3,auto.")
+    ] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="File of weights for the proposer contact-graspnet.")
+    ] = None,
+    options: SelectorOptions,
+    runs: SuiteOptions,
+    judge: Annotated[
+        str | None, typer.Option(help="A model that judges besides: vlm:MODEL, as of --vlm.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    limit: Annotated[
+        int | None, typer.Option(min=0, help="Run no more than so many episodes this time.")
+    ] = None,
+    max_cost: Annotated[
+        float | None, typer.Option(min=0.0, help="[USD] Begin no episode once models cost that.")
+    ] = None,
+    replays: Annotated[
+        bool, typer.Option("--replays", help="Record each episode, to be played in a browser.")
+    ] = False,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the run. One that was stopped is taken up there.")
+    ] = Path("out/eval"),
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Delete the run that is there, and begin anew.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the trials of a suite with each method, and print the tables of successes.
+
+    Whatever stops it, the same command again goes on where it was.
+    """
+    from tog_drake.benchmark.episodes import EpisodeWork
+    from tog_drake.benchmark.journal import Journal
+    from tog_drake.benchmark.judging import VlmJudge
+    from tog_drake.benchmark.runner import evaluate, run_config
+    from tog_drake.benchmark.suite import load_suite
+
+    console = console_for(as_json)
+    check_folder(out)
+    loaded = load_suite(suite, runs.scenario_text)
+    methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
+    cells = runs.cells(loaded, methods)
+    work = EpisodeWork(out, options, checkpoint, judge, replays)
+    config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
+    if judge is not None:
+        VlmJudge(judge)  # hears what is wrong before anything starts
+    with Journal(out, config, fresh=fresh) as journal:
+        try:
+            why = evaluate(
+                cells,
+                work,
+                journal,
+                workers=workers,
+                console=console,
+                limit=limit,
+                max_cost=max_cost,
+            )
+        finally:
+            found = _print_successes(console, journal.lines)
+    if why is not None:
+        say(console, why)
+    print_json(as_json, found | {"cells": len(cells), "stopped": why})
+
+
+def _methods(
+    selectors: str | None,
+    strategies: str | None,
+    models: "list[str]",
+    proposers: str | None,
+    k: str | None,
+    checkpoint: Path | None,
+    options: SelectorOptions,
+) -> "list[Method]":
+    from tog_drake.benchmark.method import make_methods
+
+    names_model = bool(models) or options.names_model
+    chosen = names(selectors or ("vlm" if names_model else "top-score,oracle"))
+    given = [*options.given(), *["--strategies"] * bool(strategies), *["--vlm"] * bool(models)]
+    if "vlm" not in chosen and given:
+        raise InputError(
+            f"{', '.join(given)}: only a model is asked so; valid: with vlm among the --selectors"
+        )
+    methods = make_methods(
+        chosen,
+        strategies=names(strategies) if strategies else [],
+        models=models,
+        proposers=names(proposers) if proposers else [],
+        ks=names(k) if k else [],
+    )
+    if checkpoint is not None and not any(method.takes_weights for method in methods):
+        raise InputError(
+            f"--checkpoint {checkpoint} is for contact-graspnet, not for {proposers}; valid: with "
+            "contact-graspnet among the --proposers"
+        )
+    return methods
+
+
+def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, Any]":
+    """Prints who proposed and the tables of what came of it; returns them for a program."""
+    from tog_drake.benchmark.failures import agreement, failure_rows
+    from tog_drake.benchmark.tables import paired_rows, success_rows
+    from tog_drake.selectors.oracle import ORACLE_NOTE
+
+    found: dict[str, Any] = {
+        "rows": success_rows(lines),
+        "pairs": paired_rows(lines),
+        "failures": failure_rows(lines),
+        "agreement": agreement(lines),
+    }
+    if not lines:
+        return found
+    print_origins(console, [line["record"]["proposer"] for line in lines])
+    print_rates(console, found["rows"])
+    print_failures(console, found["failures"])
+    same = found["agreement"]
+    say(
+        console,
+        f"the part between the fingers is the one that the pads press in {same['agree']} of "
+        f"{same['n']} lifts; where both are four fifths one part, in {same['clear_agree']} of "
+        f"{same['clear']}",
+    )
+    if any(line["cell"]["selector"] == "oracle" for line in lines):
+        say(console, f"oracle: {ORACLE_NOTE}")
+        found["oracle"] = ORACLE_NOTE
+    return found
