@@ -4,9 +4,11 @@ Part labels are simulated ground truth. They are for judging, evaluating and sho
 the pipeline but the oracle (``selectors/oracle.py``) reads them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,6 +164,8 @@ class PartLabels:
         contacts: ContactResults,
         pads: frozenset[GeometryId],
         poses: Sequence[RigidTransform],
+        *,
+        by_part: bool = True,
     ) -> Shares:
         """Returns the force [N] of the finger pads on each (model instance, part).
 
@@ -172,14 +176,20 @@ class PartLabels:
             contacts: all of them.
             pads: the geometries of the fingers.
             poses: X_WB of every body, by its index.
+            by_part: False to count all of a scanned object as ``UNLABELLED``: its faces take most
+                of the time.
         """
         force: Shares = {}
-        for i, (a, b, newtons) in enumerate(contact_forces(contacts)):
-            other = b if a in pads else a if b in pads else None
+        for a, b, newtons, i in contact_forces(contacts, pads):
+            other = b if a in pads else a
             if other in self.part_of:
                 shares = {self.part_of[other]: 1.0}
             elif other in self.surfaces:
                 surface = self.surfaces[other]
+                if not by_part:
+                    whole = surface.parts[-1]
+                    force[whole] = force.get(whole, 0.0) + newtons
+                    continue
                 p_W, weight = _patch(contacts, i)
                 p_O = poses[surface.body].inverse().multiply(p_W.T).T
                 shares = surface.shares(p_O, weight)
@@ -247,22 +257,40 @@ def _planes(inspector: SceneGraphInspector, geometry: GeometryId) -> Planes:
     return normal, np.linalg.norm(normal * half, axis=1), float(half.max())
 
 
-def contact_forces(contacts: ContactResults) -> list[tuple[GeometryId, GeometryId, float]]:
-    """Returns each contact's two geometries and the size of its force [N]."""
+class ContactForce(NamedTuple):
+    """What two geometries do to each other."""
+
+    a: GeometryId
+    b: GeometryId
+    newtons: float
+    row: int  # of the contact: hydroelastic ones first, then those at a point
+
+
+def contact_forces(contacts: ContactResults, of: frozenset[GeometryId]) -> list[ContactForce]:
+    """Returns the contacts of any of the geometries ``of``.
+
+    All others, such as of what lies on the table, are passed over: to turn them into Python's
+    objects would take most of the time.
+    """
     found = []
-    for i in range(contacts.num_hydroelastic_contacts()):
+    count = contacts.num_hydroelastic_contacts()
+    for i in range(count):
         info = contacts.hydroelastic_contact_info(i)
-        surface, force = info.contact_surface(), info.F_Ac_W().translational()
-        found.append((surface.id_M(), surface.id_N(), float(np.linalg.norm(force))))
+        surface = info.contact_surface()
+        a, b = surface.id_M(), surface.id_N()
+        if a in of or b in of:
+            newtons = math.hypot(*info.F_Ac_W().translational())
+            found.append(ContactForce(a, b, newtons, i))
     for i in range(contacts.num_point_pair_contacts()):
         pair = contacts.point_pair_contact_info(i)
-        force = pair.contact_force()
-        found.append((pair.point_pair().id_A, pair.point_pair().id_B, float(np.linalg.norm(force))))
+        a, b = pair.point_pair().id_A, pair.point_pair().id_B
+        if a in of or b in of:
+            found.append(ContactForce(a, b, math.hypot(*pair.contact_force()), count + i))
     return found
 
 
 def _patch(contacts: ContactResults, index: int) -> tuple[Array, Array]:
-    """Points (M, 3) [m] of a contact in W and their shares of its force (M,), in the order above.
+    """Points (M, 3) [m] of a contact in W and their shares of its force (M,); see ``ContactForce``.
 
     Of a hydroelastic one they are the middles of its faces, weighted by area and pressure.
     """

@@ -9,7 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
-from tog_drake.compliance import PartLabels, contact_forces
+from tog_drake.compliance import ContactForce, PartLabels, contact_forces
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.panda import FINGER_BODIES
 from tog_drake.planning_model import HAND, PANDA
@@ -31,7 +31,7 @@ class Sample:
 
     time: float  # [s] since the motion began; negative before
     lift: float  # [m] rise of the target's centre of mass
-    held: dict[tuple[str, str], float]  # [N] pads' force by (model instance, part)
+    held: dict[tuple[str, str], float]  # [N] pads' force by (model instance, part); see ``observe``
     hit: float  # [N] largest force of the robot on the known world or on itself
     touched: dict[tuple[str, str], float]  # [N] by (robot's body, what it meets), but the target
     others: dict[str, float]  # [m] rise of the other objects' centres of mass, by model instance
@@ -79,35 +79,47 @@ class Judge:
     def observe(self, context: Context, state: ExecutorState) -> None:
         """Takes a sample of the station's ``cheat`` ports.
 
+        Which part of a scanned object the pads press is looked at while the lift begins, until the
+        object leaves the table: it takes three quarters of a look's time, and is read at lift-off
+        alone. In other samples all of the object counts as unlabelled.
+
         Args:
             context: the station's.
             state: the executor's, for the time since the motion began.
         """
         poses = self._station.GetOutputPort("cheat.body_poses").Eval(context)
         height = {
-            name: float((poses[body] @ self._station.plant.get_body(body).default_com())[2])
-            for name, body in self._objects.items()
+            name: float((poses[body] @ center)[2]) for name, (body, center) in self._objects.items()
         }
         self._height_before = self._height_before or height
         rise = {name: z - self._height_before[name] for name, z in height.items()}
         contacts = self._station.GetOutputPort("cheat.contact_results").Eval(context)
-        forces = contact_forces(contacts)
+        forces = contact_forces(contacts, self._robot)
         moving = state.phase in (Phase.MOVE, Phase.DONE, Phase.FAILED)
+        time = context.get_time() - state.start_time if moving else -1.0
         R_WH, R_WO = (
             poses[body].rotation().matrix()
-            for body in (self._hand.index(), self._objects[self._target])
+            for body in (self._hand.index(), self._objects[self._target][0])
         )
         self.samples.append(
             Sample(
-                time=context.get_time() - state.start_time if moving else -1.0,
+                time=time,
                 lift=rise.pop(self._target),
-                held=self._labels.held(contacts, self._pads, poses),
-                hit=max((f for a, b, f in forces if self._is_hit(a, b)), default=0.0),
+                held=self._labels.held(
+                    contacts, self._pads, poses, by_part=self._is_lift_off_ahead(time, state)
+                ),
+                hit=max((f.newtons for f in forces if self._is_hit(f.a, f.b)), default=0.0),
                 touched=self._touched(forces),
                 others=rise,
                 R_HO=R_WH.T @ R_WO,
             )
         )
+
+    def _is_lift_off_ahead(self, time: float, state: ExecutorState) -> bool:
+        """Whether the sample of this time may be that of ``_lift_off``."""
+        if state.motion is None or time < (begins := state.motion.phase_times["lift"]):
+            return False
+        return not any(s.time >= begins and s.lift >= _LIFT_OFF for s in self.samples[-1:])
 
     def start_over(self) -> None:
         """Takes all samples so far for a time before the motion: another one is to come."""
@@ -115,18 +127,16 @@ class Judge:
         self._height_before = {}  # what was tried before may have moved things
 
     def _is_hit(self, a: GeometryId, b: GeometryId) -> bool:
-        pair = {a, b}
-        if pair <= self._pads:
+        """Whether a contact of the robot is one with itself or with the known world."""
+        if a in self._pads and b in self._pads:
             return False  # the fingers closed on nothing
-        return bool(pair & self._robot) and pair <= self._known
+        return a in self._known and b in self._known
 
-    def _touched(
-        self, forces: list[tuple[GeometryId, GeometryId, float]]
-    ) -> dict[tuple[str, str], float]:
+    def _touched(self, forces: list[ContactForce]) -> dict[tuple[str, str], float]:
         """The force of each body of the robot on what it should not meet."""
         touched: dict[tuple[str, str], float] = {}
-        for a, b, newtons in forces:
-            if not {a, b} & self._robot or {a, b} <= self._pads:
+        for a, b, newtons, _ in forces:
+            if a in self._pads and b in self._pads:
                 continue
             robot, other = sorted((a, b), key=lambda g: (g not in self._robot, self._name[g]))
             names = self._name[robot], self._name[other]
@@ -279,11 +289,12 @@ def _names(plant: MultibodyPlant) -> dict[GeometryId, str]:
     return names
 
 
-def _objects(plant: MultibodyPlant) -> dict[str, BodyIndex]:
-    """The free bodies, by model instance: what can be lifted."""
+def _objects(plant: MultibodyPlant) -> dict[str, tuple[BodyIndex, Array]]:
+    """The free bodies and their centres of mass, by model instance: what can be lifted."""
+    bodies = [plant.get_body(index) for index in sorted(plant.GetFloatingBaseBodies())]
     return {
-        plant.GetModelInstanceName(plant.get_body(body).model_instance()): body
-        for body in sorted(plant.GetFloatingBaseBodies())
+        plant.GetModelInstanceName(body.model_instance()): (body.index(), body.default_com())
+        for body in bodies
     }
 
 
