@@ -20,7 +20,7 @@ FIRST = 64  # farthest points that are picked by a walk over all
 ACTIVE = 400  # points that are walked over afterwards
 BLOCKS = 128  # of points that are brought up to date together
 DENSE = 4096  # points near a group of centres; of more, so many are looked at first
-GROUP = 96  # centres whose distances are computed together: of fewer, threads wait for Python
+GROUP = 48  # centres whose distances are computed together: of fewer, threads wait for Python
 
 
 def squared_distances(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
