@@ -1,4 +1,4 @@
-"""The commands about many episodes: ``tog eval``."""
+"""The commands about many episodes: ``tog eval`` and ``tog report``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -119,6 +119,27 @@ def evaluate_(
     if why is not None:
         say(console, why)
     print_json(as_json, found | {"cells": len(cells), "stopped": why})
+
+
+def report(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DIR...", help="Folders of runs, as tog eval left them.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for report.html and the tables; by default the first DIR."),
+    ] = None,
+) -> None:
+    """Write the page and the tables of one or several runs of tog eval, ended or not."""
+    from tog_drake.benchmark.report import write_benchmark_report
+
+    console = console_for(as_json=False)
+    target = out or folders[0]
+    check_folder(target)
+    with console.status("writing the page ..."):
+        files = write_benchmark_report(folders, target)
+    for file in files:
+        say(console, f"written: {file}")
 
 
 def _methods(

@@ -1,0 +1,185 @@
+"""Writes what runs of a benchmark found: one page that needs nothing else, and files of tables.
+
+As the report of an episode, the page loads nothing from anywhere, every text in it is escaped, and
+a content security policy forbids all requests besides. Its pictures are small and each is carried
+once; cards are built as they are looked at.
+"""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import jinja2
+
+from tog_drake.benchmark.detail_sheets import detail_sheets
+from tog_drake.benchmark.figures import candidate_figure
+from tog_drake.benchmark.gallery import Pictures, Replays, cards
+from tog_drake.benchmark.human_labels import read_labels
+from tog_drake.benchmark.journal import Run, read_run
+from tog_drake.benchmark.sheets import Sheet, shown
+from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
+from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
+from tog_drake.benchmark.tables import in_order, methods_of, runs_of
+from tog_drake.files import write_atomically
+
+PAGE = "report.html"
+_TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+
+
+def write_benchmark_report(folders: Sequence[Path], out: Path) -> list[Path]:
+    """Writes page and tables of runs into a folder, each file whole or not at all.
+
+    Args:
+        folders: of the runs, ended or not; each is a part of the page.
+        out: where ``report.html``, ``tables.csv``, ``tables.md`` and ``tables.tex`` go.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: a folder holds no run.
+    """
+    runs = [read_run(folder) for folder in folders]
+    names = _names(runs)
+    sheets = {name: _sheets(run) for name, run in zip(names, runs, strict=True)}
+    scenes = scene_sheet(runs)
+    tables = {**({"Scenes": [scenes]} if scenes else {}), **sheets}
+    contents = {
+        PAGE: _page(names, runs, sheets, scenes),
+        "tables.csv": csv_text({n: run.lines for n, run in zip(names, runs, strict=True)}),
+        "tables.md": markdown_text(tables),
+        "tables.tex": latex_text(tables),
+    }
+    for name, content in contents.items():
+        write_atomically(out / name, content)
+    return [out / name for name in contents]
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    """What to call each run: its suite, and its folder where two are of one suite."""
+    suites = [str(run.config.get("suite")) for run in runs]
+    return [
+        suite if suites.count(suite) == 1 else f"{suite} ({run.folder})"
+        for suite, run in zip(suites, runs, strict=True)
+    ]
+
+
+def _sheets(run: Run) -> list[Sheet]:
+    return success_sheets(run.lines) + detail_sheets(run.lines, read_labels(run.folder))
+
+
+def _page(
+    names: Sequence[str],
+    runs: Sequence[Run],
+    sheets: Mapping[str, Sequence[Sheet]],
+    scenes: Sheet | None,
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
+    lines = [line for run in runs for line in run.lines]
+    methods = dict.fromkeys(method for run in runs for method in methods_of(run.lines))
+    gallery, left_out = _gallery(runs)
+    return environment.get_template("benchmark.html.j2").render(
+        title=shown(f"Grasping by task: {', '.join(names)}"),
+        summary=f"{len(lines)} tasks, {sum(len(runs_of(run.lines)) for run in runs)} episodes, "
+        f"{len(methods)} methods",
+        scenes=scenes,
+        runs=[_part(name, run, sheets[name]) for name, run in zip(names, runs, strict=True)],
+        gallery=gallery,
+        left_out=left_out,
+    )
+
+
+def _part(name: str, run: Run, sheets: Sequence[Sheet]) -> dict[str, Any]:
+    """Returns what the page shows of a run; the figure stands where its table does."""
+    figure = candidate_figure(run.lines)
+    at = next((i for i, sheet in enumerate(sheets) if sheet.key == "candidates"), len(sheets))
+    return {
+        "title": shown(name),
+        "command": shown(command(run), 2000),
+        "facts": {shown(key): shown(text, 2000) for key, text in _facts(run).items()},
+        "figure": figure,
+        "before": sheets[:at],
+        "after": sheets[at:],
+    }
+
+
+def _facts(run: Run) -> dict[str, str]:
+    """What was asked for, in words."""
+    said: dict[str, str] = {}
+    for key, value in run.config.items():
+        if key in ("schema", "suite", "suite_sha256", "scenarios", "objects") or not value:
+            continue
+        if text := _said(value):
+            said[key.replace("_", " ").capitalize()] = text
+    files = [f"{len(run.config[of])} {of}" for of in ("scenarios", "objects") if of in run.config]
+    if files:
+        said["Files"] = f"suite, {', '.join(files)}: the SHA-256 of each is in run.json"
+    started = methods_of(run.lines)
+    waiting = [name for name in run.config.get("methods", ()) if name not in started]
+    if waiting:
+        said["No episode yet"] = _said(waiting)
+    return said
+
+
+def command(run: Run) -> str:
+    """Returns what runs the same again: `tog eval` with all that decides a result.
+
+    Methods are told by their episodes, so one that has none yet is not in it.
+    """
+    cells = [line["cell"] for line in run.lines]
+    config = run.config
+
+    def different(field: str) -> list[str]:
+        named = (cast(Mapping[str, Any], cell)[field] for cell in cells)
+        return list(dict.fromkeys(str(name) for name in named if name is not None))
+
+    words = ["tog", "eval", str(config.get("suite"))]
+    for option in ("proposer", "k", "selector"):
+        words += _option(option if option == "k" else f"{option}s", ",".join(different(option)))
+    words += _option("strategies", ",".join(different("strategy")))
+    for model in different("vlm"):
+        words += _option("vlm", model)
+    words += _option("seeds", config.get("seeds"))
+    words += _option("scenario-text", config.get("scenario_text"))
+    words += _option("judge", config.get("judge"))
+    for name, value in (config.get("asked") or {}).items():
+        words += _option(name, value)
+    return shlex.join([*words, *["--noise"] * bool(config.get("noise"))])
+
+
+def _option(name: str, value: Any) -> list[str]:
+    return [] if value in (None, "") else [f"--{name}", str(value)]
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_said, value))
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_said(v)}" for key, v in value.items() if v not in (None, False))
+    return "yes" if value is True else str(value)
+
+
+def _gallery(runs: Sequence[Run]) -> tuple[dict[str, Any], str]:
+    """Returns the data of the cards, and what of it had to be left out."""
+    pictures, replays = Pictures(), Replays()
+    shown_cards = [
+        card
+        for run in runs
+        for card in cards(Run(run.folder, run.config, in_order(run.lines)), pictures, replays)
+    ]
+    encoded, (viewer, packed) = pictures.encoded(), replays.packed()
+    missing = {
+        "pictures": len(pictures) - len(encoded),
+        "replays": len(replays) - len(packed),
+    }
+    told = " and ".join(f"{n:,} {what}" for what, n in missing.items() if n)
+    note = "are left out: they cannot be read, or the page would be too large."
+    data = {"cards": shown_cards, "pictures": encoded, "viewer": viewer, "replays": packed}
+    return data, f"{told} {note}" if told else ""
