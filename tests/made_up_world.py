@@ -1,6 +1,6 @@
 """A world in which an episode is a small calculation, for tests of what runs many of them.
 
-``python made_up_world.py DIR WORKERS`` runs such a benchmark as ``tog eval`` does.
+``python made_up_world.py DIR WORKERS SECONDS`` runs such a benchmark as ``tog eval`` does.
 """
 
 import hashlib
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from run_folder import make_line
+from run_folder import make_exchange, make_line
 
 from tog_drake.benchmark.journal import SCHEMA, Journal
 
@@ -64,11 +64,11 @@ class MadeUpWork:
         return self._lines(cell, "broken", b"\0\0", message=broken.message)
 
     def _lines(self, cell, outcome, digest, **changes):
-        exchanges = [] if self.cost is None else [_exchange(self.cost, outcome)]
+        exchanges = [] if self.cost is None else [make_exchange(cost=self.cost)]
         return [
             make_line(
                 cell.number,
-                outcome if outcome != "rejected" else "no_choice",
+                outcome,
                 complies=bool((digest[1] + task) % 2),
                 exchanges=exchanges,
                 name=cell.name,
@@ -80,23 +80,13 @@ class MadeUpWork:
         ]
 
 
-def _exchange(cost, outcome):
-    from run_folder import make_exchange
-
-    return make_exchange(cost=cost, status=outcome)
-
-
 def main(folder, workers, seconds):
-    """Runs or resumes the benchmark in ``folder``, and prints its tables."""
+    """Runs or resumes the benchmark in ``folder``."""
     from tog_drake.benchmark.runner import evaluate
-    from tog_drake.benchmark_commands import _print_successes
 
-    console = Console(width=180)
+    work = MadeUpWork(float(seconds))
     with Journal(Path(folder), CONFIG) as journal:
-        evaluate(
-            cells(), MadeUpWork(float(seconds)), journal, workers=int(workers), console=console
-        )
-        _print_successes(console, journal.lines)
+        evaluate(cells(), work, journal, workers=int(workers), console=Console(width=180))
 
 
 if __name__ == "__main__":

@@ -56,10 +56,9 @@ def test_every_cell_is_run_once_and_a_line_for_each_of_its_tasks(tmp_path):
     assert all((tmp_path / cell.name).read_text() == "x" for cell in cells(12))
 
 
-@pytest.mark.parametrize("workers", [2, 4])
-def test_the_tables_do_not_depend_on_the_number_of_workers(tmp_path, workers):
+def test_the_tables_do_not_depend_on_the_number_of_workers(tmp_path):
     run(tmp_path / "one")
-    run(tmp_path / "many", workers=workers, parallel=in_processes)
+    run(tmp_path / "many", workers=3, parallel=in_processes)
     assert tables(tmp_path / "many") == tables(tmp_path / "one")
 
 
@@ -98,9 +97,7 @@ def test_no_episode_is_begun_when_models_have_cost_enough(tmp_path):
 
 
 def test_a_bound_on_the_cost_needs_prices(tmp_path):
-    work = MadeUpWork(cost=float("nan"))
-    work = replace(work, cost=None)
-    assert run(tmp_path / "free", work, max_cost=0.1)[0] is None
+    assert run(tmp_path / "free", max_cost=0.1)[0] is None  # nothing was asked
     with pytest.raises(Stopped, match=r"--max-cost cannot be kept.*TOG_PRICES"):
         run(tmp_path / "asked", Unpriced(), max_cost=0.1)
     assert numbers(tmp_path / "asked") == [0]

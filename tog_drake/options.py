@@ -275,8 +275,9 @@ def _put(config: "PipelineConfig", kind: "type[ProposerConfig]", **fields: str) 
 SuiteArgument = Annotated[
     str,
     typer.Argument(
+        metavar="SUITE",
         help="builtin | household | kitchen | tools | tog29; a scenario, all of whose objects are "
-        "asked for; or a YAML file of either."
+        "asked for; or a YAML file of either.",
     ),
 ]
 
@@ -319,7 +320,8 @@ def spread(
     """Lets a command take a dataclass of options; Typer and the help see one for each field.
 
     Args:
-        without: fields that are no options of this command and keep their defaults.
+        without: fields that are no options of this command and keep their defaults; the command
+            may have other options of these names.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -330,11 +332,14 @@ def spread(
             if isinstance(p.annotation, type) and is_dataclass(p.annotation)
         }
 
+        def fields_of(p: Parameter) -> list[Parameter]:
+            options = signature(kinds[p.name]).parameters.values()
+            return [option for option in options if option.name not in without]
+
         spread_out = [
             option.replace(kind=Parameter.KEYWORD_ONLY)
             for p in given
-            for option in (signature(kinds[p.name]).parameters.values() if p.name in kinds else [p])
-            if option.name not in without
+            for option in (fields_of(p) if p.name in kinds else [p])
         ]
 
         @wraps(command)

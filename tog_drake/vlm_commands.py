@@ -144,7 +144,8 @@ def check(
 @spread(without=["selector", "fallback", "record", "replay", "deadline"])
 def export(
     suite: Annotated[
-        str | None, typer.Argument(help="As of tog eval: all its episodes are asked for.")
+        str | None,
+        typer.Argument(metavar="SUITE", help="As of tog eval: all its episodes are asked for."),
     ] = None,
     *,
     cassette: Annotated[

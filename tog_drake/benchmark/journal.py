@@ -13,11 +13,13 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypedDict
+from typing import TYPE_CHECKING, Any, BinaryIO, TypedDict
 
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
-from tog_drake.record import EpisodeRecord
+
+if TYPE_CHECKING:
+    from tog_drake.record import EpisodeRecord
 
 SCHEMA = "tog_drake/run/1"
 """Name and version of a run's folder; the number changes when a field changes its meaning."""
@@ -59,7 +61,7 @@ class Line(TypedDict):
     """One line of ``episodes.jsonl``."""
 
     cell: CellRecord
-    record: EpisodeRecord
+    record: "EpisodeRecord"
     judge: JudgeRecord | None
 
 

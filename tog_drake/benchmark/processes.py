@@ -18,6 +18,7 @@ from tog_drake.terminal import keep_drake_quiet
 Job = TypeVar("Job")
 T = TypeVar("T")
 ATTEMPTS = 3  # of a job whose worker dies
+_PRELOADED = ["tog_drake.episode"]  # 2 s of imports, which a new worker need not repeat
 _LIFE = 10  # jobs of a worker: not all memory of a diagram is given back, about 40 MB an episode
 
 
@@ -83,6 +84,7 @@ class _Worker:
 
     def __init__(self, work: Callable[[Any], Any]):
         context = get_context("forkserver")
+        context.set_forkserver_preload(_PRELOADED)
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         self.process.start()
