@@ -169,6 +169,8 @@ def test_the_page_says_the_command_that_runs_the_same_again(tmp_path):
         "tog eval kitchen --selectors oracle,vlm --strategies cpg --vlm m --seeds 2 "
         "--scenario-text 'robot: !DrakeModels {}' --rendering paper --noise"
     )
+    mine = read_run(write_run(tmp_path, [make_line(0)], suite="mine", seeds=1))
+    assert command(mine) == "tog eval mine.yaml --selectors oracle --seeds 1"
 
 
 def test_what_is_written_does_not_depend_on_the_order_in_which_episodes_ended(tmp_path):

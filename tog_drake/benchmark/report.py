@@ -19,9 +19,11 @@ from tog_drake.benchmark.human_labels import read_labels
 from tog_drake.benchmark.journal import Run, read_run
 from tog_drake.benchmark.sheets import Sheet, shown
 from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
+from tog_drake.benchmark.suite import suite_files
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
 from tog_drake.benchmark.tables import in_order, methods_of, runs_of
 from tog_drake.files import write_atomically
+from tog_drake.scenario import scenario_files
 
 PAGE = "report.html"
 _TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
@@ -140,7 +142,9 @@ def command(run: Run) -> str:
         named = (cast(Mapping[str, Any], cell)[field] for cell in cells)
         return list(dict.fromkeys(str(name) for name in named if name is not None))
 
-    words = ["tog", "eval", str(config.get("suite"))]
+    suite = str(config.get("suite"))
+    known = suite in suite_files() or suite in scenario_files()
+    words = ["tog", "eval", suite if known else f"{suite}.yaml"]  # a file of the user's
     for option in ("proposer", "k", "selector"):
         words += _option(option if option == "k" else f"{option}s", ",".join(different(option)))
     words += _option("strategies", ",".join(different("strategy")))
