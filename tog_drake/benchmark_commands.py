@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
     from tog_drake.benchmark.method import Method
 
+_MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
+
 
 @spread(without=["selector", "strategy", "vlm"])
 def evaluate_(
@@ -88,11 +90,12 @@ def evaluate_(
 
     Whatever stops it, the same command again goes on where it was.
     """
-    from tog_drake.benchmark.episodes import EpisodeWork
+    from tog_drake.benchmark.episodes import SHARED, EpisodeWork
     from tog_drake.benchmark.journal import Journal
     from tog_drake.benchmark.judging import VlmJudge
     from tog_drake.benchmark.runner import evaluate, run_config
     from tog_drake.benchmark.suite import load_suite
+    from tog_drake.sharing import SharedWork
 
     console = console_for(as_json)
     check_folder(out)
@@ -115,6 +118,7 @@ def evaluate_(
                 max_cost=max_cost,
             )
         finally:
+            SharedWork(out / SHARED).prune(_MAX_SHARED)
             found = _print_successes(console, journal.lines)
     if why is not None:
         say(console, why)

@@ -20,12 +20,18 @@ from tog_drake.benchmark.journal import EPISODES, read_run
 from tog_drake.benchmark.tables import GROUPS, candidate_rows, paired_rows, success_rows
 
 OPTIONS = ["--selectors", "top-score,geometric,oracle", "--workers", "2"]
-SECONDS = (4.0, 25.0)  # from the beginning of a process to its end
+EPISODES_MORE = 1  # at most so many end before a kill, which comes up to
+SECONDS = 4.0  # later
 
 
 def begin(suite: str, out: Path) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "tog_drake.cli", "eval", suite, *OPTIONS, "--out", str(out)]
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
+
+
+def lines_in(folder: Path) -> int:
+    path = folder / EPISODES
+    return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
 def tables(folder: Path) -> str:
@@ -46,14 +52,17 @@ def main(kills: int, suite: str) -> int:
     killed, whole = folder / "killed", folder / "whole"
     for kill in range(kills):
         running = begin(suite, killed)
-        time.sleep(chance.uniform(*SECONDS))
+        wanted = lines_in(killed) + chance.randint(0, EPISODES_MORE)
+        while running.poll() is None and lines_in(killed) < wanted:
+            time.sleep(0.01)
+        time.sleep(chance.uniform(0.0, SECONDS))
         done = running.poll()
         if done is None:
             os.killpg(running.pid, signal.SIGKILL)
         running.wait()
         data = (killed / EPISODES).read_bytes() if (killed / EPISODES).exists() else b""
         torn = len(data) - data.rfind(b"\n") - 1
-        print(f"kill {kill + 1}: {data.count(10)} lines, {torn} torn bytes, ended before: {done}")
+        print(f"{kill + 1}: {data.count(10)} lines, {torn} torn bytes, ended: {done}", flush=True)
     assert begin(suite, killed).wait() == 0
     assert begin(suite, whole).wait() == 0
     same = tables(killed) == tables(whole)
