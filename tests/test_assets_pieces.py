@@ -11,11 +11,16 @@ from hypothesis import strategies as st
 
 from tog_drake.assets import collision
 from tog_drake.assets.collision import (
+    CORE_FACES,
+    ROOM,
+    SKIN_PIECES,
+    core_faces,
     core_of,
     cut_in_file_order,
     decompose,
     find_pieces,
     fits,
+    merged,
     read_pieces,
 )
 from tog_drake.assets.importing import name_for
@@ -129,6 +134,41 @@ def test_a_fine_surface_is_decimated_and_keeps_its_shape():
     assert 400 <= len(faces) <= 500
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), 0.05, atol=6e-4)
     assert len(core_of(_solid(ball), 60)[1]) <= 60
+
+
+def test_small_things_have_fewer_faces_than_large_ones_within_limits():
+    sides = 0.01, 0.08, 1.0
+    few, some, many = (core_faces(_solid(tiny_meshes.box(a, a, a))) for a in sides)
+    assert (few, many) == CORE_FACES
+    assert some == int(6 * 0.08**2 / collision.FACE)
+
+
+def _as_pieces(meshes):
+    return [(np.array(mesh.vertices), np.array(mesh.faces)) for mesh in meshes]
+
+
+def _fills(pieces):
+    return sum(trimesh.Trimesh(*piece).volume for piece in pieces)
+
+
+def test_the_slices_of_a_bar_are_merged_to_fewer_that_fill_it():
+    slices = [tiny_meshes.box(0.01, 0.02, 0.02, at=(0.01 * i, 0, 0)) for i in range(40)]
+    skin = merged(_as_pieces(slices))
+    assert len(skin) == SKIN_PIECES
+    assert _fills(skin) == pytest.approx(40 * 4e-6)
+    few = _as_pieces(slices[:SKIN_PIECES])
+    assert merged(few) == few
+
+
+def test_the_pieces_of_a_thin_ring_are_merged_no_further_than_leaves_it_hollow():
+    ring = []
+    for turn in np.linspace(0, 2 * np.pi, 48, endpoint=False):
+        piece = tiny_meshes.box(0.001, 0.0055, 0.02, at=(0.04, 0, 0))
+        piece.apply_transform(trimesh.transformations.rotation_matrix(turn, [0, 0, 1]))
+        ring.append(piece)
+    skin = merged(_as_pieces(ring))
+    assert SKIN_PIECES < len(skin) < 48
+    assert _fills(skin) <= ROOM * _fills(_as_pieces(ring))
 
 
 def test_the_inertia_of_a_box_is_that_of_the_book():

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from shaken import Grip, outcome
 
-from tog_drake.assets.collision import core_of
+from tog_drake.assets.collision import core_faces, core_of
 from tog_drake.assets.mesh import ScannedMesh, Solid, read_mesh, solid_of
 from tog_drake.assets.model import DENSITY, inertia_of, write_model
 from tog_drake.assets.visual import write_visual
@@ -77,7 +77,9 @@ def scanned(shared_data, tmp_path_factory):
         if name not in made:
             mesh = read_mesh(shared_data / "objects" / name / about[name]["mesh"])
             solid = solid_of(mesh)
-            made[name] = _write(library / name, solid, core_of(solid), about[name]["mass_kg_ycb"])
+            made[name] = _write(
+                library / name, solid, core_of(solid, core_faces(solid)), about[name]["mass_kg_ycb"]
+            )
         return made[name]
 
     return make

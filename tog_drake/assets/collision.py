@@ -6,7 +6,7 @@ fall back to points between their convex hulls), hence the *skin*: convex compli
 those of other scanned objects alone (see ``stations.simulation``).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,22 @@ from tog_drake.assets.mesh import Faces, Solid
 from tog_drake.errors import InputError
 from tog_drake.values import Array
 
-CORE_FACES = 1500
-"""Measured: 400 turn a shape by 1-5 mm and let round ones rock, 3000 halve the speed."""
-FINE_FACES = 3000
+CORE_FACES = (600, 1500)
+"""Of a core at least and at most. Measured: 400 turn a shape by 1-5 mm and let round ones rock,
+3000 halve the speed."""
+FINE_FACES = 3000  # where it does not lie still otherwise
+FACE = 4e-5
+"""[m²] of a core, on average: a finger's pad meets eight or more. Each face is a contact point or
+two, which costs 20 µs a step, and 1500 of them on a spoon put 140 into the hand."""
 FACES_RANGE = (50, 20_000)  # of a core: below it is no solid, above it is a day's simulation
 # fast_simplification's ``agg``: the more, the sooner it takes an edge that is not the best. At 3
 # surfaces are off by a third to two thirds of what they are at its default, 7; it may end early.
 _HASTE = (3, 5, 7)
-MAX_PIECES = 64  # of a skin; each is tested against each of another object's
+MAX_PIECES = 64  # of those that come with a scan; the largest are taken
+SKIN_PIECES = 12
+"""Of a skin, where that many fill the object. Every step Drake looks which of all pieces are near
+each other, those of one object too."""
+ROOM = 1.2  # the most that the pieces of a skin may fill, of what those fill that it is made of
 MAX_PIECE_FILES = 1000
 _PIECES = ("collision/*.obj", "*_vhacd.stl", "*_col.obj")  # where scans keep them
 INSTALL = "pip install 'tog_drake[assets]'"
@@ -33,7 +41,15 @@ INSTALL = "pip install 'tog_drake[assets]'"
 Piece = tuple[Array, Faces]  # vertices (V, 3) [m] and triangles (F, 3) of a convex shape
 
 
-def core_of(solid: Solid, faces: int = CORE_FACES) -> tuple[Array, Faces]:
+def core_faces(solid: Solid) -> int:
+    """Returns how many faces the core of a solid is to have: as its surface is large."""
+    import trimesh
+
+    area = trimesh.triangles.area(solid.vertices[solid.faces]).sum()
+    return int(np.clip(area / FACE, *CORE_FACES))
+
+
+def core_of(solid: Solid, faces: int) -> tuple[Array, Faces]:
     """Returns the surface with about ``faces`` triangles.
 
     A finer one is decimated by quadrics; a much coarser one, such as a box of twelve, is
@@ -191,6 +207,37 @@ def decompose(solid: Solid) -> list[Piece]:
     )
     hulls = [_hull(np.asarray(vertices)) for vertices, _ in parts]
     return _largest([hull for hull in hulls if hull is not None])
+
+
+def merged(pieces: Sequence[Piece]) -> list[Piece]:
+    """Returns fewer convex pieces that fill about the same space, for a skin.
+
+    Two become their hull, those first that gain least volume by it, until ``SKIN_PIECES`` are left
+    or they would fill ``ROOM`` times the space: hollow things need more pieces than others.
+    """
+    found = dict(enumerate(pieces))
+    volume = {i: _volume(piece) for i, piece in found.items()}
+    room = ROOM * sum(volume.values())
+    gain = {(i, j): _gain(found, volume, i, j) for i in found for j in found if i < j}
+    while len(found) > SKIN_PIECES:
+        i, j = min(gain, key=lambda pair: gain[pair])
+        if sum(volume.values()) + gain[i, j] > room:
+            break
+        hull = _hull(np.vstack([found[i][0], found.pop(j)[0]]))
+        assert hull is not None
+        found[i], volume[i] = hull, _volume(hull)
+        del volume[j]
+        gain = {pair: more for pair, more in gain.items() if not {i, j} & {*pair}}
+        gain |= {(i, k): _gain(found, volume, i, k) for k in found if k != i}
+    return list(found.values())
+
+
+def _gain(pieces: Mapping[int, Piece], volume: Mapping[int, float], i: int, j: int) -> float:
+    """By how much the hull of two pieces is larger than they are [m³]."""
+    from scipy.spatial import ConvexHull
+
+    hull = ConvexHull(np.vstack([pieces[i][0], pieces[j][0]]))
+    return float(hull.volume) - volume[i] - volume[j]
 
 
 def _hull(points: Array) -> Piece | None:

@@ -19,10 +19,12 @@ from tog_drake.assets.collision import (
     FINE_FACES,
     INSTALL,
     Piece,
+    core_faces,
     core_of,
     decompose,
     find_pieces,
     fits,
+    merged,
     read_pieces,
 )
 from tog_drake.assets.library import PARTS, PREVIEW, REPORT, VARIABLE, checked_name, library_dir
@@ -151,7 +153,8 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
             f"{path} would weigh {inertia.mass:.3g} kg at {options.density:g} kg/m³: give --mass"
         )
     write_visual(mesh, solid, folder)
-    settled, faces, finer = _write_settled(folder, solid, pieces, inertia, options)
+    skin = merged(pieces)
+    settled, faces, finer = _write_settled(folder, solid, skin, inertia, options)
     _keep_licence(path.parent / LICENCE, folder)
     notes = [*mesh.notes, *notes, *_remarks(solid, settled, faces, finer, options)]
     try:
@@ -161,22 +164,23 @@ def _build(path: Path, folder: Path, options: ImportOptions) -> dict[str, Any]:
     return _report(path, mesh, solid, inertia, settled) | {
         "source": options.source,
         "faces": {"file": len(mesh.faces), "core": faces},
-        "pieces": len(pieces),
+        "pieces": len(skin),
         "notes": notes,
     }
 
 
 def _write_settled(
-    folder: Path, solid: Solid, pieces: list[Piece], inertia: Inertia, options: ImportOptions
+    folder: Path, solid: Solid, skin: list[Piece], inertia: Inertia, options: ImportOptions
 ) -> tuple[Settled, int, bool]:
     """Writes the model and tests it; returns how it lies, its core's faces, and if it is finer.
 
     Where nobody says how fine the core is to be and it does not lie still, it is made finer: small
     hooves end in spikes otherwise, which sink in.
     """
-    for faces in (CORE_FACES, FINE_FACES) if options.faces is None else (options.faces,):
+    finer = (core_faces(solid), CORE_FACES[1], FINE_FACES)
+    for faces in sorted({*finer}) if options.faces is None else (options.faces,):
         core = core_of(solid, faces)
-        write_model(folder, core=core, skin=pieces, inertia=inertia, friction=options.friction)
+        write_model(folder, core=core, skin=skin, inertia=inertia, friction=options.friction)
         settled = settle(folder / MODEL, core[0])
         if settled.ok:
             break
