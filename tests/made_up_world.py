@@ -14,7 +14,7 @@ from pathlib import Path
 from rich.console import Console
 from run_folder import make_exchange, make_line
 
-from tog_drake.benchmark.journal import SCHEMA, Journal
+from tog_drake.benchmark.journal import SCHEMA, Journal, Result
 
 CONFIG = {"schema": SCHEMA, "suite": "made up", "methods": ["oracle"], "seeds": 3}
 CELLS = 40
@@ -65,19 +65,21 @@ class MadeUpWork:
 
     def _lines(self, cell, outcome, digest, **changes):
         exchanges = [] if self.cost is None else [make_exchange(cost=self.cost)]
-        return [
-            make_line(
-                cell.number,
-                outcome,
-                complies=bool((digest[1] + task) % 2),
-                exchanges=exchanges,
-                name=cell.name,
-                tasks=cell.tasks,
-                task=f"task {task}",
-                **changes,
-            )
-            for task in range(cell.tasks)
-        ]
+        return Result(
+            [
+                make_line(
+                    cell.number,
+                    outcome,
+                    complies=bool((digest[1] + task) % 2),
+                    exchanges=exchanges,
+                    name=cell.name,
+                    tasks=cell.tasks,
+                    task=f"task {task}",
+                    **changes,
+                )
+                for task in range(cell.tasks)
+            ]
+        )
 
 
 def main(folder, workers, seconds):

@@ -3,7 +3,15 @@ import re
 
 import pytest
 
-from tog_drake.benchmark.journal import EPISODES, RUN, SCHEMA, Journal, differences, read_run
+from tog_drake.benchmark.journal import (
+    EPISODES,
+    RUN,
+    SCHEMA,
+    Journal,
+    Result,
+    differences,
+    read_run,
+)
 from tog_drake.errors import InputError
 
 CONFIG = {"schema": SCHEMA, "suite": "builtin", "seeds": 2, "objects": {"hammer": "ab"}}
@@ -23,8 +31,8 @@ def lines_of(number, tasks=("use it",), **record):
 
 def test_a_run_is_read_in_its_order_whatever_the_order_in_which_episodes_ended(tmp_path):
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(lines_of(2))
-        journal.append(lines_of(0, ("use it", "hand it over")))
+        journal.append(Result(lines_of(2)))
+        journal.append(Result(lines_of(0, ("use it", "hand it over"))))
         assert [line["cell"]["number"] for line in journal.lines] == [0, 0, 2]
     run = read_run(tmp_path)
     assert run.config == CONFIG
@@ -35,8 +43,8 @@ def test_a_run_is_read_in_its_order_whatever_the_order_in_which_episodes_ended(t
 def test_a_run_is_taken_up_wherever_its_file_was_cut(tmp_path):
     both = [lines_of(0), lines_of(1, ("use it", "hand it over"), message="naïve")]
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(both[0])
-        journal.append(both[1])
+        journal.append(Result(both[0]))
+        journal.append(Result(both[1]))
     path = tmp_path / EPISODES
     whole = path.read_bytes()
     first = whole.index(b"\n") + 1
@@ -52,14 +60,14 @@ def test_a_run_is_taken_up_wherever_its_file_was_cut(tmp_path):
                 (1, lines_of(1, ("use it", "hand it over"), message="naïve")),
             ):
                 if number not in done:
-                    journal.append(lines)
+                    journal.append(Result(lines))
         assert done == ({0, 1} if length == len(whole) else {0} if length >= first else set())
         assert path.read_bytes() == whole
 
 
 def test_a_last_line_that_is_no_json_is_cut_off(tmp_path):
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(lines_of(0))
+        journal.append(Result(lines_of(0)))
     with (tmp_path / EPISODES).open("ab") as file:
         file.write(b"\0\0\0\0\n")
     with Journal(tmp_path, CONFIG) as journal:
@@ -70,7 +78,7 @@ def test_a_last_line_that_is_no_json_is_cut_off(tmp_path):
 @pytest.mark.parametrize("damage", [b"{}\n", b"[1]\n", b"nonsense\n", b'{"cell": {"tasks": 1}}\n'])
 def test_damage_before_the_end_is_told_and_nothing_is_cut(tmp_path, damage):
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(lines_of(0))
+        journal.append(Result(lines_of(0)))
     path = tmp_path / EPISODES
     path.write_bytes(damaged := damage + path.read_bytes())
     for read in (read_run, lambda folder: Journal(folder, CONFIG)):
@@ -81,7 +89,7 @@ def test_damage_before_the_end_is_told_and_nothing_is_cut(tmp_path, damage):
 
 def test_another_configuration_is_refused_with_what_differs(tmp_path):
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(lines_of(0))
+        journal.append(Result(lines_of(0)))
     asked = {**CONFIG, "seeds": 3, "objects": {"hammer": "cd"}, "noise": True}
     with pytest.raises(InputError) as refused:
         Journal(tmp_path, asked)
@@ -106,7 +114,7 @@ def test_many_differences_are_counted(tmp_path):
 
 def test_fresh_deletes_the_run_that_is_there_and_its_pictures_but_nothing_else(tmp_path):
     with Journal(tmp_path, CONFIG) as journal:
-        journal.append(lines_of(0))
+        journal.append(Result(lines_of(0)))
     (tmp_path / "episodes" / "cell-0").mkdir(parents=True)
     (tmp_path / "mine.txt").write_text("kept")
     with Journal(tmp_path, {**CONFIG, "seeds": 3}, fresh=True) as journal:

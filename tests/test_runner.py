@@ -106,16 +106,16 @@ def test_a_bound_on_the_cost_needs_prices(tmp_path):
 
 class Unpriced(MadeUpWork):
     def __call__(self, cell):
-        lines = replace(MadeUpWork(), cost=0.0)(cell)
-        for line in lines:
+        result = replace(MadeUpWork(), cost=0.0)(cell)
+        for line in result.lines:
             for attempt in line["record"]["attempts"]:
                 for exchange in attempt["exchanges"]:
                     exchange["cost"] = None
-        return lines
+        return result
 
 
 def test_what_is_replayed_costs_nothing_and_judges_do(tmp_path):
-    (line,) = MadeUpWork(cost=0.5)(cells(1)[0])
+    (line,) = MadeUpWork(cost=0.5)(cells(1)[0]).lines
     assert model_costs(line) == ([0.5], False)
     line["record"]["attempts"][0]["exchanges"][0]["replayed"] = "tape.jsonl"
     line["judge"] = {"cost": 0.25, "status": "ok"}
@@ -142,12 +142,12 @@ def test_a_rejected_question_is_no_line(tmp_path):
 
 class Rejected(MadeUpWork):
     def __call__(self, cell):
-        lines = MadeUpWork(cost=0.1)(cell)
+        result = MadeUpWork(cost=0.1)(cell)
         if cell.number == 1:
-            for line in lines:
+            for line in result.lines:
                 line["record"]["vlm"]["status"] = "rejected"
                 line["record"]["vlm"]["exchanges"][-1]["message"] = "status 401: wrong key"
-        return lines
+        return result
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path):

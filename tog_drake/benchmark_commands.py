@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tog_drake.errors import InputError
-from tog_drake.files import check_folder
+from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
     MODEL_HELP,
     JsonOption,
@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
     from tog_drake.benchmark.journal import Line
     from tog_drake.benchmark.method import Method
+    from tog_drake.benchmark.runner import Parallel
 
+_SHARED = "shared"  # folder of what episodes share, in that of the run
 _MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
 
 
@@ -68,7 +70,13 @@ def evaluate_(
     judge: Annotated[
         str | None, typer.Option(help="A model that judges besides: vlm:MODEL, as of --vlm.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
+    workers: Annotated[
+        str,
+        typer.Option(
+            help="How many processes; or ray, for a Ray cluster that runs here or is started; or "
+            "ray:ADDRESS."
+        ),
+    ] = "2",
     limit: Annotated[
         int | None, typer.Option(min=0, help="Run no more than so many episodes this time.")
     ] = None,
@@ -90,7 +98,7 @@ def evaluate_(
 
     Whatever stops it, the same command again goes on where it was.
     """
-    from tog_drake.benchmark.episodes import SHARED, EpisodeWork
+    from tog_drake.benchmark.episodes import EpisodeWork
     from tog_drake.benchmark.journal import Journal
     from tog_drake.benchmark.judging import VlmJudge
     from tog_drake.benchmark.runner import evaluate, run_config
@@ -102,7 +110,9 @@ def evaluate_(
     loaded = load_suite(suite, runs.scenario_text)
     methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
     cells = runs.cells(loaded, methods)
-    work = EpisodeWork(out, options, checkpoint, judge, replays)
+    parallel, count = _parallel(workers)
+    shared = (out / _SHARED).resolve()
+    work = EpisodeWork(shared, options, checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:
         VlmJudge(judge)  # hears what is wrong before anything starts
@@ -112,13 +122,14 @@ def evaluate_(
                 cells,
                 work,
                 journal,
-                workers=workers,
+                workers=count,
                 console=console,
                 limit=limit,
                 max_cost=max_cost,
+                parallel=parallel,
             )
         finally:
-            SharedWork(out / SHARED).prune(_MAX_SHARED)
+            SharedWork(shared).prune(_MAX_SHARED)
             found = _print_successes(console, journal.lines)
     if why is not None:
         say(console, why)
@@ -144,6 +155,65 @@ def report(
         files = write_benchmark_report(folders, target)
     for file in files:
         say(console, f"written: {file}")
+
+
+def label(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of a run, as tog eval left it.")
+    ],
+    sample: Annotated[int, typer.Option(min=1, help="Grasps to judge, drawn at random.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Of the sample and its order.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="The page; by default labels.html in DIR.")
+    ] = None,
+    answers: Annotated[
+        Path | None,
+        typer.Option("--import", help="The file that the page saved: enters it instead."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Have people judge a blind sample of a run's grasps: writes a page, or enters its answers."""
+    from dataclasses import asdict
+
+    from tog_drake.benchmark.human_labels import (
+        agreements,
+        export_sample,
+        import_answers,
+        read_labels,
+    )
+    from tog_drake.benchmark.journal import read_run
+
+    console = console_for(as_json)
+    if answers is None:
+        page = out or folder / "labels.html"
+        check_file(page)
+        count = export_sample(folder, page, count=sample, seed=seed)
+        say(console, f"{count} grasps to judge: open {page} and save the answers, then")
+        say(console, f"tog label {folder} --import answers.jsonl")
+        print_json(as_json, {"page": str(page), "grasps": count})
+        return
+    known = import_answers(folder, answers)
+    say(console, f"{known} grasps are judged by people")
+    found = agreements(read_run(folder).lines, read_labels(folder))
+    for who, same in found.items():
+        kappa = "not defined" if same.kappa is None else f"{same.kappa:.2f}"
+        share = "" if same.agree is None else f"{same.agree:.0%} of "
+        say(console, f"{who} agree on {share}{same.n}; Cohen's kappa {kappa}")
+    print_json(as_json, {"judged": known, "agreement": {w: asdict(s) for w, s in found.items()}})
+
+
+def _parallel(workers: str) -> "tuple[Parallel, int]":
+    """Returns how to work on several cells at once, and on how many."""
+    from tog_drake.benchmark.processes import in_processes
+
+    kind, colon, address = workers.partition(":")
+    if kind == "ray" and (address or not colon):
+        from tog_drake.benchmark.cluster import on_cluster
+
+        return on_cluster(address or None), 1
+    if not workers.isascii() or not workers.isdecimal() or int(workers) < 1:
+        raise InputError(f"--workers {workers!r}; valid: 1 or more, ray or ray:ADDRESS")
+    return in_processes, int(workers)
 
 
 def _methods(

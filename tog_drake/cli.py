@@ -8,7 +8,7 @@ from typing import NoReturn
 import typer
 
 from tog_drake.assets_commands import app as assets_app
-from tog_drake.benchmark_commands import evaluate_, report
+from tog_drake.benchmark_commands import evaluate_, label, report
 from tog_drake.errors import TogError
 from tog_drake.look_commands import diagram, doctor, scenarios, show
 from tog_drake.run_commands import choose, demo, run
@@ -39,6 +39,7 @@ for _name, _command, _example in (
     ),
     ("eval", evaluate_, "tog eval builtin --selectors top-score,oracle --workers 2"),
     ("report", report, "tog report out/eval"),
+    ("label", label, "tog label out/eval --sample 60"),
     ("scenarios", scenarios, "tog scenarios"),
     ("show", show, "tog show Hammer --out hammer.html"),
     ("diagram", diagram, "tog diagram Hammer --out hammer.svg"),

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
-from tog_drake.benchmark.journal import PICTURES, JudgeRecord, Line
-from tog_drake.benchmark.judging import VlmJudge
+from tog_drake.benchmark.human_labels import PICTURE
+from tog_drake.benchmark.journal import JudgeRecord, Line, Result
+from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import Trial
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
 from tog_drake.episode import Episode, load_objects, run_episode
 from tog_drake.errors import InputError
-from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
@@ -26,14 +26,12 @@ from tog_drake.sharing import SharedWork
 from tog_drake.visualization import make_meshcat
 from tog_drake.vlm_record import exchanges_of
 
-SHARED = "shared"  # folder of what episodes share, in that of the run
-
 
 @dataclass(frozen=True)
 class EpisodeWork:
     """How the cells of a run are run."""
 
-    folder: Path  # of the run
+    shared: Path  # folder of what episodes share, on the machine that runs them
     options: SelectorOptions = field(default_factory=SelectorOptions)  # how a model is asked
     checkpoint: Path | None = None  # weights, for the proposers that have any
     judge: str | None = None  # a model that judges besides, such as "vlm:gemini:NAME"
@@ -49,8 +47,8 @@ class EpisodeWork:
         cell.method.apply(scenario.pipeline, self.options, self.checkpoint)
         return scenario
 
-    def __call__(self, cell: Cell) -> list[Line]:
-        """Runs a cell; its files are there before this returns. Raises InputError with its name."""
+    def __call__(self, cell: Cell) -> Result:
+        """Runs a cell. Raises InputError with its name."""
         try:
             scenario = self.configured(cell)
             labels = load_objects(scenario)[cell.object]
@@ -60,12 +58,11 @@ class EpisodeWork:
                 task=cell.task,
                 target=cell.object,
                 meshcat=make_meshcat() if self.replays else None,
-                shared=SharedWork(self.folder / SHARED),
+                shared=SharedWork(self.shared),
             )
         except InputError as error:
             raise InputError(f"{cell.name}: {error}") from error
-        save_files(self.folder / PICTURES / cell.name, episode)
-        return [
+        lines = [
             Line(
                 cell=cell.record(trial),
                 record=_judged_for(trial.task, episode.record, labels),
@@ -73,14 +70,13 @@ class EpisodeWork:
             )
             for trial in cell.trials
         ]
+        return Result(lines, files_of(episode))
 
     def _judged(self, decision: Decision, trial: Trial) -> JudgeRecord | None:
         return None if self.judge is None else VlmJudge(self.judge).judge(decision, trial.task)
 
-    def broken(self, cell: Cell, broken: Broken) -> list[Line]:
-        """Returns the lines of a cell in which the program itself failed, and keeps why."""
-        folder = self.folder / PICTURES / cell.name
-        write_atomically(folder / "traceback.txt", broken.traceback)
+    def broken(self, cell: Cell, broken: Broken) -> Result:
+        """Returns the lines of a cell in which the program itself failed, and why."""
         scenario = self.configured(cell)
         labels = load_objects(scenario)[cell.object]
         record = new_record(Decision(), scenario.pipeline, task=cell.task, seed=cell.seed)
@@ -88,10 +84,11 @@ class EpisodeWork:
         record["outcome"], record["message"] = "broken", broken.message
         record["grasp_success"] = record["strict_success"] = False
         record["noise"] = cell.noise
-        return [
+        lines = [
             Line(cell=cell.record(t), record=_judged_for(t.task, record, labels), judge=None)
             for t in cell.trials
         ]
+        return Result(lines, {"traceback.txt": broken.traceback.encode()})
 
 
 def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> EpisodeRecord:
@@ -107,25 +104,28 @@ def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> Episod
     return judged
 
 
-def save_files(folder: Path, episode: Episode) -> None:
-    """Writes what shows an episode.
+def files_of(episode: Episode) -> dict[str, bytes]:
+    """Returns what shows an episode, by the names of the files.
 
-    ``view.jpg`` is what was seen and decided, ``sent-N.png`` are the images that a model was shown
+    ``view.jpg`` is what was seen and decided, ``grasp.jpg`` the hand that was chosen, alone, as
+    people and models judge it. ``sent-N.png`` are the images that a model was shown
     at the last look, ``grasps.npz`` has the feasible grasps (arrays as of ``Grasps``; the rows
     ``candidates`` (K,); the row ``chosen``, −1: none), ``replay.html.gz`` plays the episode.
     """
-    decision = episode.decision
+    decision, files = episode.decision, {}
     if decision.view is not None:
         image = decision_image(decision.view, decision.candidates, decision.choice)
-        write_atomically(folder / "view.jpg", encode_jpg(image))
+        files["view.jpg"] = encode_jpg(image)
+    if (pictures := grasp_pictures(decision)) is not None:
+        files[PICTURE] = encode_jpg(pictures[1])
     sent = [image for exchange in exchanges_of(decision) for image in exchange.images]
     for number, image in enumerate(sent, 1):
-        write_atomically(folder / f"sent-{number}.png", encode_png(image, compression=6))
+        files[f"sent-{number}.png"] = encode_png(image, compression=6)
     if decision.feasible_grasps is not None:
-        write_atomically(folder / "grasps.npz", _grasps(decision))
+        files["grasps.npz"] = _grasps(decision)
     if episode.replay is not None:
-        page = gzip.compress(episode.replay.encode(), mtime=0)
-        write_atomically(folder / "replay.html.gz", page)
+        files["replay.html.gz"] = gzip.compress(episode.replay.encode(), mtime=0)
+    return files
 
 
 def _grasps(decision: Decision) -> bytes:

@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypedDict
 
@@ -63,6 +63,14 @@ class Line(TypedDict):
     cell: CellRecord
     record: "EpisodeRecord"
     judge: JudgeRecord | None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an episode leaves: it comes from whatever process or machine ran it as a whole."""
+
+    lines: list[Line]  # one for each of its tasks
+    files: dict[str, bytes] = field(default_factory=dict)  # by name, in its folder in episodes/
 
 
 @dataclass(frozen=True)
@@ -126,8 +134,11 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def append(self, lines: Sequence[Line]) -> None:
-        """Writes all lines of one episode; when this returns, they are on the disk."""
+    def append(self, result: Result) -> None:
+        """Writes all files and lines of one episode; when this returns, they are on the disk."""
+        lines = result.lines
+        for name, content in result.files.items():
+            write_atomically(self.folder / PICTURES / lines[0]["cell"]["name"] / name, content)
         self._file.write("".join(json.dumps(line) + "\n" for line in lines).encode())
         self._file.flush()
         os.fsync(self._file.fileno())

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from os import _exit
+from pickle import PicklingError
 from typing import Any, Generic, TypeVar
 
 from tog_drake.errors import InputError, TogError
@@ -19,7 +20,7 @@ Job = TypeVar("Job")
 T = TypeVar("T")
 ATTEMPTS = 3  # of a job whose worker dies
 _PRELOADED = ["tog_drake.episode"]  # 2 s of imports, which a new worker need not repeat
-_LIFE = 10  # jobs of a worker: not all memory of a diagram is given back, about 40 MB an episode
+LIFE = 10  # jobs of a worker: not all memory of a diagram is given back, about 40 MB an episode
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class _Pool(Generic[Job, T]):
         if isinstance(result, InputError):
             worker.end()
             raise result
-        if worker.jobs < _LIFE:
+        if worker.jobs < LIFE:
             self._free.append(worker)
         else:
             worker.end()
@@ -182,13 +183,26 @@ def _serve(pipe: Connection, work: Callable[[Job], T]) -> None:
             job = pipe.recv()
         except EOFError:
             return
+        result = attempt(work, job)
         try:
-            pipe.send(work(job))
-        except InputError as error:
-            pipe.send(InputError(str(error)))
-        except (Exception, SystemExit) as error:  # by the latter Drake ends, or what it calls
-            last = traceback.format_exception_only(type(error), error)[-1]
-            pipe.send(Broken(" ".join(last.split()), traceback.format_exc()))
+            pipe.send(result)
+        except (AttributeError, TypeError, ValueError, PicklingError) as error:
+            pipe.send(_broken(error))
+
+
+def attempt(work: Callable[[Job], T], job: Job) -> T | InputError | Broken:
+    """Does a job in a worker; what it raises comes back as a value."""
+    try:
+        return work(job)
+    except InputError as error:
+        return InputError(str(error))
+    except (Exception, SystemExit) as error:  # by the latter Drake ends, or what it calls
+        return _broken(error)
+
+
+def _broken(error: BaseException) -> Broken:
+    last = traceback.format_exception_only(type(error), error)[-1]
+    return Broken(" ".join(last.split()), traceback.format_exc())
 
 
 def _die_with_parent() -> None:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from tog_drake.benchmark.cells import Cell, model_hashes, worlds_of
 from tog_drake.benchmark.episodes import EpisodeWork
-from tog_drake.benchmark.journal import SCHEMA, Journal, Line
+from tog_drake.benchmark.journal import SCHEMA, Journal, Line, Result
 from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.processes import Broken, in_processes
 from tog_drake.benchmark.suite import Suite
@@ -33,18 +33,18 @@ class Stopped(TogError):
 
 
 class CellWork(Protocol):
-    """What makes lines of a cell, in whatever process."""
+    """What runs a cell, in whatever process of whatever machine."""
 
-    def __call__(self, cell: Cell) -> list[Line]: ...
+    def __call__(self, cell: Cell) -> Result: ...
 
-    def broken(self, cell: Cell, broken: Broken) -> list[Line]:
-        """Returns the lines of a cell that has none because the program failed."""
+    def broken(self, cell: Cell, broken: Broken) -> Result:
+        """Returns what is to be told of a cell in which the program failed."""
         ...
 
 
 Parallel = Callable[
-    [Callable[[Cell], list[Line]], Iterable[Cell], int],
-    Generator[tuple[Cell, list[Line] | Broken], None, None],
+    [Callable[[Cell], Result], Iterable[Cell], int],
+    Generator[tuple[Cell, Result | Broken], None, None],
 ]
 
 
@@ -132,14 +132,14 @@ def evaluate(
             closing(parallel(work, state.wanted(pending), workers)) as ended,
         ):
             bar = progress.add_task("episodes", total=len(cells), completed=len(done), said="")
-            for cell, result in ended:
-                lines = work.broken(cell, result) if isinstance(result, Broken) else result
-                if trouble := _not_taken(lines[0]):
+            for cell, ending in ended:
+                result = work.broken(cell, ending) if isinstance(ending, Broken) else ending
+                if trouble := _not_taken(result.lines[0]):
                     state.trouble = state.trouble or trouble
                     continue
-                journal.append(lines)
+                journal.append(result)
                 done.add(cell.name)
-                state.count(lines)
+                state.count(result.lines)
                 progress.update(bar, advance=1, said=state.said)
     finally:  # Ctrl-C too
         if len(done) < len(cells):
