@@ -21,7 +21,7 @@ from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.selectors.oracle import Oracle
-from tog_drake.sharing import Execution, SharedWork, execution_key, look_key, world_key
+from tog_drake.sharing import Execution, KeptWorld, SharedWork
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Exchange, Grasps
 from tog_drake.visualization import draw_decision, replay_html
@@ -167,7 +167,7 @@ def run_episode(
     context = simulator.get_mutable_context()
     kept = None
     if shared is not None and meshcat is None and scenario.pipeline.retries == 0:
-        kept = _Kept(shared, scenario, world, world_key(scenario, context))
+        kept = KeptWorld(shared, scenario, context, world.pipeline, world.target)
     judge = Judge(world.station, world.labels, world.target)
     attempts: list[AttemptRecord] = []
     exchanges: tuple[Exchange, ...] = ()  # of the looks before this one
@@ -216,37 +216,6 @@ def run_episode(
     record["sim"]["seconds"] = context.get_time() if execution is None else execution.end
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
     return Episode(record, decision, replay, exchanges)
-
-
-class _Kept:
-    """What is kept of the episodes in one world."""
-
-    def __init__(self, shared: SharedWork, scenario: Scenario, world: World, key: str):
-        self._shared = shared
-        self._config = scenario.pipeline
-        self._world = world
-        self._key = key
-        proposer, seed = world.pipeline.proposer, scenario.random_seed
-        self._look_key = look_key(key, scenario.pipeline, proposer, seed)
-
-    def decide(self, context: Context) -> Decision:
-        """Decides, from a look that is kept if there is one; keeps it if there is none."""
-        key = self._look_key
-        found = None if key is None else self._shared.look(key)
-        decision = decide(self._world.pipeline, context, found)
-        if key is not None and found is None and decision.look is not None:
-            self._shared.keep_look(key, decision.look)
-        return decision
-
-    def execution(self, decision: Decision) -> Execution | None:
-        return self._shared.execution(self._execution_key(decision))
-
-    def keep(self, decision: Decision, execution: Execution) -> None:
-        self._shared.keep_execution(self._execution_key(decision), execution)
-
-    def _execution_key(self, decision: Decision) -> str:
-        assert decision.motion is not None
-        return execution_key(self._key, self._config, decision.motion, self._world.target)
 
 
 def _since_look(world: World, context: Context) -> float:

@@ -26,7 +26,7 @@ from pydrake.systems.framework import Context
 
 from tog_drake.files import write_atomically
 from tog_drake.judge import Verdict
-from tog_drake.pipeline import Look, PipelineConfig
+from tog_drake.pipeline import Decision, GraspPipeline, Look, PipelineConfig, decide
 from tog_drake.proposer import Proposer, weights_of
 from tog_drake.proposers.antipodal import AntipodalProposer
 from tog_drake.resources import resource_dir
@@ -80,6 +80,53 @@ class SharedWork:
             limit -= status.st_size
             if limit < 0:
                 path.unlink(missing_ok=True)
+
+
+class KeptWorld:
+    """What is kept of the episodes in one world: decides and finds executions with its help."""
+
+    def __init__(
+        self,
+        shared: SharedWork,
+        scenario: Scenario,
+        context: Context,
+        pipeline: GraspPipeline,
+        target: str,
+    ):
+        """Begins with the world as it is now.
+
+        Args:
+            shared: where things are kept.
+            scenario: that the world was made of.
+            context: the root Context of the diagram, at the time of the look.
+            pipeline: that looks and decides.
+            target: what executions are judged for.
+        """
+        self._shared, self._config = shared, scenario.pipeline
+        self._pipeline, self._target = pipeline, target
+        self._world = world_key(scenario, context)
+        seed = scenario.random_seed
+        self._look = look_key(self._world, scenario.pipeline, pipeline.proposer, seed)
+
+    def decide(self, context: Context) -> Decision:
+        """Decides, from a look that is kept if there is one; keeps it if there is none."""
+        found = None if self._look is None else self._shared.look(self._look)
+        decision = decide(self._pipeline, context, found)
+        if self._look is not None and found is None and decision.look is not None:
+            self._shared.keep_look(self._look, decision.look)
+        return decision
+
+    def execution(self, decision: Decision) -> Execution | None:
+        """Returns what came of the decision's motion, if that is kept."""
+        return self._shared.execution(self._execution_key(decision))
+
+    def keep(self, decision: Decision, execution: Execution) -> None:
+        """Keeps what came of the decision's motion."""
+        self._shared.keep_execution(self._execution_key(decision), execution)
+
+    def _execution_key(self, decision: Decision) -> str:
+        assert decision.motion is not None
+        return execution_key(self._world, self._config, decision.motion, self._target)
 
 
 def world_key(scenario: Scenario, context: Context) -> str:
