@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from run_folder import make_line, write_run
 
 from tog_drake.benchmark.human_labels import (
-    LABELS,
     PICTURE,
     agreement,
     agreements,
@@ -20,6 +19,7 @@ from tog_drake.benchmark.human_labels import (
     import_answers,
     read_labels,
 )
+from tog_drake.benchmark.journal import LABELS
 from tog_drake.errors import InputError
 
 LINES = [

@@ -254,3 +254,14 @@ def test_methods_are_all_combinations_but_only_a_model_has_strategies():
         make_methods(["oracle", "best"])
     with pytest.raises(InputError, match="named twice"):
         make_methods(["oracle", "random", "oracle"])
+
+
+@pytest.mark.parametrize("allowed", ["[1, head]", "[[head]]", "head", "{head: 1}"])
+def test_parts_that_are_no_list_of_names_are_said(allowed, tmp_path):
+    path = tmp_path / "odd.yaml"
+    path.write_text(
+        "groups: [{objects: [hammer], tasks: [{category: use, task: 'use the {object}', "
+        f"allowed: {allowed}}}]}}]"
+    )
+    with pytest.raises(InputError, match="allowed must be a list"):
+        load_suite(str(path))

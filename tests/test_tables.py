@@ -276,3 +276,16 @@ def test_rates_lie_in_their_intervals_and_none_is_greater_than_what_it_is_part_o
         for rate in ("grasp", "strict", "chosen", "task", "both"):
             assert 0 <= row[f"{rate}_low"] <= row[rate] <= row[f"{rate}_high"] <= 1
         assert row["both_successes"] <= min(row["grasp_successes"], row["task_successes"])
+
+
+def test_an_episode_that_reads_no_task_is_one_trial_of_the_grasp_beside_one_that_does():
+    lines = []
+    for scene in range(6):
+        for task in range(2):
+            same = {"seed": scene, "task": f"task {task}"}
+            blind = {"method": "random", "selector": "random", "name": f"r{scene}", "tasks": 2}
+            lines.append(make_line(scene, **blind, **same))
+            lines.append(make_line(10 + 2 * scene + task, "slipped", method="oracle", **same))
+    (grasp,) = (row for row in paired_rows(lines) if row["rate"] == "grasp")
+    assert (grasp["n"], grasp["only_first"], grasp["only_second"]) == (6, 6, 0)
+    assert grasp["p"] == pytest.approx(2 * 0.5**6)

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.method import Method
     from tog_drake.benchmark.runner import Parallel
 
-_SHARED = "shared"  # folder of what episodes share, in that of the run
 _MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
 
 
@@ -99,7 +98,7 @@ def evaluate_(
     Whatever stops it, the same command again goes on where it was.
     """
     from tog_drake.benchmark.episodes import EpisodeWork
-    from tog_drake.benchmark.journal import Journal
+    from tog_drake.benchmark.journal import SHARED, Journal
     from tog_drake.benchmark.judging import VlmJudge
     from tog_drake.benchmark.runner import evaluate, run_config
     from tog_drake.benchmark.suite import load_suite
@@ -111,7 +110,7 @@ def evaluate_(
     methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
     cells = runs.cells(loaded, methods)
     parallel, count = _parallel(workers)
-    shared = (out / _SHARED).resolve()
+    shared = (out / SHARED).resolve()
     work = EpisodeWork(shared, options, checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:

@@ -2,9 +2,9 @@
 
 Episodes of the same scene and seed differ in who chooses, not in what is seen and could be grasped;
 and the same motion from the same state of the world ends the same way. All of it is deterministic.
-So it is computed once, and kept under the SHA-256 of everything that it depends on: the state of
-the simulated world, the scenario, the files of its models, settings and weights of the stages, this
-program and Drake. What is damaged or gone is computed again. Nothing is pickled.
+So it is computed once, and kept under the SHA-256 of what it depends on: the state of the
+simulated world, the scenario, the files of its models, settings and weights of the stages, this
+program, Drake, numpy and scipy. What is damaged or gone is computed again. Nothing is pickled.
 """
 
 import hashlib
@@ -12,6 +12,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -75,7 +76,10 @@ class SharedWork:
 
     def prune(self, limit: int) -> None:
         """Deletes what was written longest ago until the rest has at most ``limit`` bytes."""
-        kept = [(path.stat(), path) for path in self._folder.glob("*.[nj]*")]
+        kept = []
+        for path in self._folder.glob("*.[nj]*"):
+            with suppress(FileNotFoundError):  # another process may be at it
+                kept.append((path.stat(), path))
         for status, path in sorted(kept, key=lambda item: -item[0].st_mtime):
             limit -= status.st_size
             if limit < 0:
@@ -113,7 +117,8 @@ class KeptWorld:
         found = None if self._look is None else self._shared.look(self._look)
         decision = decide(self._pipeline, context, found)
         if self._look is not None and found is None and decision.look is not None:
-            self._shared.keep_look(self._look, decision.look)
+            with suppress(OSError):  # a full disk, say: then others compute it again
+                self._shared.keep_look(self._look, decision.look)
         return decision
 
     def execution(self, decision: Decision) -> Execution | None:
@@ -121,8 +126,9 @@ class KeptWorld:
         return self._shared.execution(self._execution_key(decision))
 
     def keep(self, decision: Decision, execution: Execution) -> None:
-        """Keeps what came of the decision's motion."""
-        self._shared.keep_execution(self._execution_key(decision), execution)
+        """Keeps what came of the decision's motion, where it can be kept."""
+        with suppress(OSError):
+            self._shared.keep_execution(self._execution_key(decision), execution)
 
     def _execution_key(self, decision: Decision) -> str:
         assert decision.motion is not None
@@ -196,7 +202,11 @@ def _digest(parts: Iterable[str | bytes]) -> str:
 @lru_cache
 def _program() -> str:
     """What tells this program from another state of it, and from it on another Drake."""
-    return _contents(Path(__file__).parent) + _contents(resource_dir("models")) + version("drake")
+    return (
+        _contents(Path(__file__).parent)
+        + _contents(resource_dir("models"))
+        + "".join(version(name) for name in ("drake", "numpy", "scipy"))
+    )
 
 
 @lru_cache(maxsize=256)
@@ -215,7 +225,9 @@ def _read(path: Path, parse: Callable[[bytes], T]) -> T | None:
     """What a kept file says; None where it is not there or damaged."""
     try:
         return parse(path.read_bytes())
-    except (OSError, ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, LookupError, TypeError, AttributeError):
+        return None
+    except (RuntimeError, NotImplementedError, zipfile.BadZipFile):  # of an archive's header
         return None
 
 

@@ -125,9 +125,18 @@ def _run(
 def _result(ray: Any, ended: Any) -> Any:
     try:
         result = ray.get(ended)
-    except ray.exceptions.RayError as error:
+    except (
+        ray.exceptions.WorkerCrashedError,
+        ray.exceptions.NodeDiedError,
+        ray.exceptions.OutOfMemoryError,
+    ) as error:
         message = f"its worker died {ATTEMPTS} times: {' '.join(str(error).split())[:300]}"
         return Broken(message, f"{message}\n\n{traceback.format_exc()}")
+    except ray.exceptions.RayError as error:  # of a machine that cannot do any job
+        raise InputError(
+            f"the cluster cannot work: {' '.join(str(error).split())[:500]}; valid: machines with "
+            "this package and all that it needs"
+        ) from error
     if isinstance(result, InputError):
         raise result
     return result

@@ -55,10 +55,6 @@ def _questions(kind: str, decisions: Sequence[Sequence["ExchangeRecord"]]) -> di
     }
 
 
-def _is_replayed(exchanges: Sequence["ExchangeRecord"]) -> bool:
-    return all(exchange["replayed"] is not None for exchange in exchanges)
-
-
 def _counts_both(tokens: dict[str, int]) -> bool:
     return {"input", "output"} <= tokens.keys()
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tog_drake.benchmark.journal import PICTURES
+from tog_drake.benchmark.journal import episode_folder
 from tog_drake.benchmark.sheets import shown
 from tog_drake.record import usage
 from tog_drake.visible_text import visible
@@ -118,7 +118,7 @@ def cards(run: "Run", pictures: Pictures, replays: Replays) -> list[dict[str, An
 
 def _card(run: "Run", line: "Line", pictures: Pictures, replays: Replays) -> dict[str, Any]:
     cell, record, judge = line["cell"], line["record"], line["judge"]
-    folder = _folder(run.folder, cell["name"])
+    folder = episode_folder(run.folder, line)
     sent = sorted(folder.glob(SENT), key=_number) if folder is not None else []
     choice = record["choice"]
     vlm = record["vlm"]
@@ -185,13 +185,6 @@ def _shares(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{part} {share:.0%}" for part, share in shares.items())
 
 
-def _folder(run: Path, name: str) -> Path | None:
-    """The folder of an episode; None where its name would lead elsewhere."""
-    return (
-        run / PICTURES / name if name not in ("", ".", "..") and Path(name).name == name else None
-    )
-
-
 def _number(path: Path) -> int:
     digits = "".join(filter(str.isdigit, path.stem))
     return int(digits or 0)
@@ -218,6 +211,8 @@ def _encode(path: Path, side: int, quality: int) -> dict[str, Any] | None:
             image.draft("RGB", (side, side))  # a JPEG is read no larger than needed
             small = image.convert("RGB")
     except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
+        return None
+    except Image.DecompressionBombError:
         return None
     small.thumbnail((side, side), Image.Resampling.BILINEAR)
     file = io.BytesIO()

@@ -17,14 +17,12 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from tog_drake.benchmark.journal import PICTURES, Line, read_run
+from tog_drake.benchmark.journal import LABELS, PICTURES, Line, episode_folder, read_run
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
 from tog_drake.visible_text import visible
 
-LABELS = "labels.json"
-"""In the folder of a run: ``identifier`` of a line -> whether the grasp suits its task."""
 PICTURE = "grasp.jpg"  # in the folder of an episode: the chosen grasp alone
 ANSWERS = {"yes": True, "no": False, "unclear": None}
 _TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
@@ -68,7 +66,8 @@ def export_sample(folder: Path, out: Path, *, count: int, seed: int) -> int:
     Raises:
         InputError: there is no run, or no episode of it has a grasp to look at.
     """
-    shown = [line for line in read_run(folder).lines if _picture(folder, line).is_file()]
+    pictures = [(line, _picture(folder, line)) for line in read_run(folder).lines]
+    shown = [(line, picture) for line, picture in pictures if picture is not None]
     if not shown:
         raise InputError(f"{folder} has no picture of a grasp to judge ({PICTURES}/*/{PICTURE})")
     rows = np.random.default_rng(seed).permutation(len(shown))[:count]
@@ -77,11 +76,11 @@ def export_sample(folder: Path, out: Path, *, count: int, seed: int) -> int:
     )
     items = [
         {
-            "id": identifier(shown[row]),
-            "task": visible(shown[row]["cell"]["task"], limit=500),
-            "picture": base64.b64encode(_picture(folder, shown[row]).read_bytes()).decode(),
+            "id": identifier(line),
+            "task": visible(line["cell"]["task"], limit=500),
+            "picture": base64.b64encode(picture).decode(),
         }
-        for row in rows
+        for line, picture in (shown[row] for row in rows)
     ]
     page = environment.get_template("human_labels.html.j2").render(items=items)
     write_atomically(out, page)
@@ -94,8 +93,13 @@ def identifier(line: Line) -> str:
     return hashlib.sha256(about.encode()).hexdigest()[:16]
 
 
-def _picture(folder: Path, line: Line) -> Path:
-    return folder / PICTURES / line["cell"]["name"] / PICTURE
+def _picture(run: Path, line: Line) -> bytes | None:
+    """The picture of a line's grasp; None where there is none."""
+    folder = episode_folder(run, line)
+    try:
+        return None if folder is None else (folder / PICTURE).read_bytes()
+    except OSError:
+        return None
 
 
 def import_answers(folder: Path, answers: Path) -> int:
@@ -134,7 +138,8 @@ def read_labels(folder: Path) -> dict[str, bool | None]:
 def _read_answers(path: Path) -> dict[str, bool | None]:
     """The answers in a file of the page, JSON lines of id and answer."""
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(_MAX_ANSWERS + 1)
         if len(data) > _MAX_ANSWERS:
             raise InputError(f"{path} has more than {_MAX_ANSWERS} bytes; valid: a page's answers")
         said = [json.loads(line) for line in data.decode().splitlines() if line.strip()]

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 SCHEMA = "tog_drake/run/1"
 """Name and version of a run's folder; the number changes when a field changes its meaning."""
 RUN, EPISODES, PICTURES = "run.json", "episodes.jsonl", "episodes"
+SHARED = "shared"  # folder of what episodes share
+LABELS = "labels.json"  # what people said of the grasps, see human_labels
 _SHOWN = 10  # differences between two configurations that a message tells
 
 
@@ -80,6 +82,14 @@ class Run:
     folder: Path
     config: dict[str, Any]  # run.json
     lines: list[Line]  # in the order of the run, however it was divided and resumed
+
+
+def episode_folder(run: Path, line: Line) -> Path | None:
+    """Returns the folder of a line's episode; None where its name would lead elsewhere."""
+    name = line["cell"]["name"]
+    return (
+        run / PICTURES / name if name not in ("", ".", "..") and Path(name).name == name else None
+    )
 
 
 def read_run(folder: Path) -> Run:
@@ -165,6 +175,8 @@ class Journal:
         elif fresh:  # the lines first: whatever is left of a run without them is a run not begun
             self._file.truncate(0)
             shutil.rmtree(self.folder / PICTURES, ignore_errors=True)
+            shutil.rmtree(self.folder / SHARED, ignore_errors=True)
+            (self.folder / LABELS).unlink(missing_ok=True)
         elif changed := differences(old, config):
             more = f"; and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
             raise InputError(

@@ -134,7 +134,7 @@ def evaluate(
             bar = progress.add_task("episodes", total=len(cells), completed=len(done), said="")
             for cell, ending in ended:
                 result = work.broken(cell, ending) if isinstance(ending, Broken) else ending
-                if trouble := _not_taken(result.lines[0]):
+                if trouble := next(filter(None, map(_not_taken, result.lines)), None):
                     state.trouble = state.trouble or trouble
                     continue
                 journal.append(result)

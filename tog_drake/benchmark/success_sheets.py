@@ -56,12 +56,11 @@ def main_sheet(lines: Sequence["Line"]) -> Sheet:
         (row["method"], row["n"], *(share(row, rate) for rate in RATES), row["failures"])
         for row in counted
     ]
-    n = int(paper()["trials"])
     theirs = [
         (
             " ".join(filter(None, (row["method"], row.get("model"), "(published)"))),
-            n,
-            *(published_share(row.get(rate), n) for rate in RATES),
+            row["trials"],
+            *(published_share(row.get(rate), int(row["trials"])) for rate in RATES),
             "",
         )
         for row in paper()["methods"]
@@ -72,7 +71,7 @@ def main_sheet(lines: Sequence["Line"]) -> Sheet:
         f"Rates with 95 % intervals (Wilson). {what}. An episode that ended early, an answer that "
         "could not be read included, is a failure of each. The part between the fingers is the one "
         f"that the pads then press in {same['agree']} of {same['n']} lifts. Published: "
-        f"{paper()['source']}; {n} trials a cell, judged by hand, of other scenes and another "
+        f"{paper()['source']}; judged by hand, of other scenes and another "
         "simulation; an interval stands where a count of so many trials gives the rate."
     )
     columns = ("Method", "n", *TITLES.values(), "Failures")

@@ -16,6 +16,7 @@ parts may be held is what the labels say of the task's words; a task that lists 
 """
 
 import hashlib
+import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -166,8 +167,8 @@ def _group(group: Any, folder: Path, text: str | None) -> list[Trial]:
     objects = group.get("objects", list(known))
     if not objects or not all(isinstance(name, str) for name in objects):
         raise InputError(
-            f"a group of tasks {group['tasks']!r:.80} has no objects; valid: a list of names, or a "
-            "scenario whose objects are labelled and, if imported, there"
+            f"a group of tasks {reprlib.repr(group['tasks'])} has no objects; valid: a list of "
+            "names, or a scenario whose objects are labelled and, if imported, there"
         )
     return [
         _trial(task, name, known, scenario, objects) for task in group["tasks"] for name in objects
@@ -266,6 +267,14 @@ def _allowed(task: Mapping[str, Any], labels: ObjectParts, said: str, where: str
             )
         return read
     parts = frozenset(labels.part_words)
+    for key in ("allowed", "forbidden"):
+        listed = task.get(key, "others")
+        if listed != "others" and not (
+            isinstance(listed, list) and all(isinstance(part, str) for part in listed)
+        ):
+            raise InputError(
+                f"{where}: {key} must be a list of parts or others, not {reprlib.repr(listed)}"
+            )
     named = {
         key: frozenset(task[key])
         for key in ("allowed", "forbidden")
@@ -300,7 +309,7 @@ def _checked(
     """Returns a mapping whose fields are known and of the right kind."""
     known = {**needed, **other}
     if not isinstance(content, dict):
-        raise InputError(f"{what} must have {', '.join(known)}; it is {content!r:.80}")
+        raise InputError(f"{what} must have {', '.join(known)}; it is {reprlib.repr(content)}")
     if strange := [key for key in content if key not in known]:
         raise InputError(f"{what} has no field {strange[0]!r}; valid: {', '.join(known)}")
     if missing := [key for key in needed if key not in content]:
@@ -310,5 +319,5 @@ def _checked(
             kinds = known[key] if isinstance(known[key], tuple) else (known[key],)
             words = {list: "a list", dict: "a mapping", str: "text", int: "a whole number"}
             valid = " or ".join(words[kind] for kind in kinds)
-            raise InputError(f"{what}: {key} must be {valid}, not {value!r:.80}")
+            raise InputError(f"{what}: {key} must be {valid}, not {reprlib.repr(value)}")
     return content

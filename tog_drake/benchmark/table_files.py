@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
 
 _LATEX = {
+    "[": "{[}",  # after a line's end it would be an optional length
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
@@ -117,4 +118,6 @@ def _markdown(text: str) -> str:
 
 def _latex(text: str) -> str:
     """Escapes what LaTeX would obey; what its fonts lack becomes the number of the character."""
-    return "".join(_LATEX.get(c) or (c if ord(c) < 0x100 else f"[U+{ord(c):04X}]") for c in text)
+    return "".join(
+        _LATEX.get(c) or (c if ord(c) < 0x100 else f"{{[}}U+{ord(c):04X}]") for c in text
+    )

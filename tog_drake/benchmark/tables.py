@@ -156,8 +156,9 @@ def paired_rows(lines: Sequence["Line"]) -> Rows:
     """Returns of each two methods how they compare on the trials that both have done.
 
     A trial is one task on one object, as one seed puts it there; those of categories that are not
-    the paper's do not count. Where neither method reads the task, an episode of each is one trial
-    of the grasp, whatever number of tasks it is judged for. ``p`` is McNemar's exact test.
+    the paper's do not count. An episode of a method that does not read the task is one trial of
+    the grasp, whatever number of tasks it is judged for; of a method that does, the episode of the
+    first task stands beside it. ``p`` is McNemar's exact test.
     """
     counted = [line for line in in_order(lines) if line["cell"]["category"] in CATEGORIES]
     return [
@@ -170,7 +171,7 @@ def paired_rows(lines: Sequence["Line"]) -> Rows:
 
 def _paired_row(lines: Sequence["Line"], first: str, second: str, rate: str) -> dict[str, Any]:
     of_both = [line for line in lines if line["cell"]["method"] in (first, second)]
-    blind = all(line["cell"]["selector"] in TASK_BLIND for line in of_both)
+    blind = any(line["cell"]["selector"] in TASK_BLIND for line in of_both)
     if rate != "grasp":
         of_both = [line for line in of_both if _is_judged(line)]
     done: dict[str, dict[tuple[Any, ...], bool]] = {first: {}, second: {}}
@@ -179,7 +180,7 @@ def _paired_row(lines: Sequence["Line"], first: str, second: str, rate: str) -> 
         trial = (cell["scenario"], cell["object"], cell["seed"], cell["task"])
         if blind and rate == "grasp":
             trial = (*trial[:3], "")
-        done[cell["method"]][trial] = succeeded(line, rate)
+        done[cell["method"]].setdefault(trial, succeeded(line, rate))
     of_first, of_second = done[first], done[second]
     pairs = [(won, of_second[trial]) for trial, won in of_first.items() if trial in of_second]
     only = {first: pairs.count((True, False)), second: pairs.count((False, True))}
