@@ -21,6 +21,7 @@ from tog_drake.benchmark.report import command, write_benchmark_report
 from tog_drake.benchmark.sheets import Share, make_sheet
 from tog_drake.benchmark.success_sheets import main_sheet, published_share, scene_sheet
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
+from tog_drake.errors import InputError
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \u202egnorw {{ 7*7 }}"
 
@@ -96,6 +97,19 @@ def test_the_scenes_of_several_objects_stand_side_by_side(tmp_path):
     assert [cell.of for cell in sheet.rows[0][1:]] == ["1/2", "2/2", "3/4"]
     assert sheet.rows[1] == ("Real robot (published)", None, None, Share(0.7))
     assert scene_sheet(runs[:1]) is None
+
+
+def test_a_scene_that_was_run_twice_stands_with_the_methods_of_both_or_is_refused(tmp_path):
+    def of(name, suite, method):
+        return read_run(write_run(tmp_path / name, [make_line(0, method=method)], suite=suite))
+
+    one, other = of("a", "tools", "random"), of("b", "tools", "vlm")
+    sheet = scene_sheet([one, other, of("c", "kitchen", "random")])
+    assert [row[0] for row in sheet.rows[:2]] == ["random", "vlm"]
+    assert sheet.rows[0][3].of == "2/2"
+    assert sheet.rows[1][3] is None  # it is not of the same scenes
+    with pytest.raises(InputError, match="second run of tools"):
+        scene_sheet([one, of("d", "tools", "random")])
 
 
 def test_the_figure_has_a_mark_for_each_k_and_joins_the_numbers_only():

@@ -18,6 +18,7 @@ from tog_drake.benchmark.tables import (
     paired_rows,
     success_rows,
 )
+from tog_drake.errors import InputError
 from tog_drake.files import read_yaml
 
 if TYPE_CHECKING:
@@ -202,18 +203,33 @@ def _beyond(lines: Sequence["Line"]) -> Sheet:
 
 
 def scene_sheet(runs: Sequence["Run"]) -> Sheet | None:
-    """The paper's scenes of a real robot, in simulation; None of fewer than two of them."""
-    of = {str(run.config.get("suite")): run for run in runs}
+    """The paper's scenes of a real robot, in simulation; None of fewer than two of them.
+
+    Several runs of a scene may be of different methods.
+
+    Raises:
+        InputError: two runs of a scene are of the same method: nobody could tell which counts.
+    """
+    of: dict[str, list[Line]] = {}
+    for run in runs:
+        lines = of.setdefault(str(run.config.get("suite")), [])
+        if run.config.get("suite") in SCENES and {*methods_of(lines)} & {*methods_of(run.lines)}:
+            raise InputError(
+                f"{run.folder} is a second run of {run.config['suite']} with the method "
+                f"{methods_of(run.lines)[0]}; valid: one of them in a page"
+            )
+        lines += run.lines
     scenes = [name for name in SCENES if name in of]
     if len(scenes) < 2:
         return None
-    methods = dict.fromkeys(m for name in scenes for m in methods_of(of[name].lines))
+    methods = dict.fromkeys(m for name in scenes for m in methods_of(of[name]))
     rows: list[list[Cell]] = []
     for method in methods:
-        tables = [_of_method(success_rows(of[name].lines), method) for name in scenes]
+        tables = [_of_method(success_rows(of[name]), method) for name in scenes]
         count, n = (sum(t[key] for t in tables) for key in ("both_successes", "tasks"))
         low, high = Rate(count, n).interval or (None, None)
-        everything = Share(count / n, low, high, f"{count}/{n}") if n else None
+        whole = all(table["tasks"] for table in tables)  # else it would be of other scenes
+        everything = Share(count / n, low, high, f"{count}/{n}") if whole else None
         rows.append([method, *(share(t, "both") if t else None for t in tables), everything])
     rows.append(["Real robot (published)", *(None for _ in scenes), Share(paper()["real_robot"])])
     return make_sheet(
