@@ -86,6 +86,7 @@ def main(folder, workers, seconds):
     """Runs or resumes the benchmark in ``folder``."""
     from tog_drake.benchmark.runner import evaluate
 
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # as tog: it may be ignored above
     work = MadeUpWork(float(seconds))
     with Journal(Path(folder), CONFIG) as journal:
         evaluate(cells(), work, journal, workers=int(workers), console=Console(width=180))

@@ -50,7 +50,7 @@ def test_a_run_that_was_killed_again_and_again_ends_with_the_same_tables(tmp_pat
     world = (HERE / "made_up_world.py",)
     for how in (signal.SIGKILL, signal.SIGINT, signal.SIGKILL):
         before = lines_in(folder)
-        running = begin(world, folder, 2, 0.2)
+        running = begin(world, folder, 2, 0.1)
         out, _ = stop(running, folder, before + chance.randint(3, 12), how)
         assert running.returncode != 0
         assert lines_in(folder) > before
