@@ -206,13 +206,12 @@ def run_episode(
         record["feasible_by_part"] = _feasible_by_part(world, between)
         if decision.motion is not None:
             record["closes_on"] = between[decision.motion.grasp_index]
-    allowed = world.labels.objects[world.target].allowed(task)
-    record["allowed"] = None if allowed is None else sorted(allowed)
     if execution is None and wall > 0.0:  # earlier attempts were carried out
         record["seconds"]["execute"] = wall
         record["sim"]["real_time_rate"] = _since_look(world, context) / wall
         record["collisions"] = judge.collisions()
-    _enter_end(record, execution, allowed)
+    _enter_end(record, execution)
+    enter_compliance(record, world.labels.objects[world.target].allowed(task))
     record["sim"]["seconds"] = context.get_time() if execution is None else execution.end
     replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
     return Episode(record, decision, replay, exchanges)
@@ -229,13 +228,19 @@ def _executed(
     return Execution(verdict, state.opening_after, executed, wall, end)
 
 
-def _enter_end(
-    record: EpisodeRecord, execution: Execution | None, allowed: Collection[str] | None
-) -> None:
+def enter_compliance(record: EpisodeRecord, allowed: Collection[str] | None) -> None:
+    """Judges how an episode ended for a task that allows these parts; None: it says none."""
+    record["allowed"] = None if allowed is None else sorted(allowed)
+    record["task_compliance"] = complies(record["held"], allowed)
+    record["combined_success"] = (
+        None if allowed is None else record["grasp_success"] and record["task_compliance"]
+    )
+
+
+def _enter_end(record: EpisodeRecord, execution: Execution | None) -> None:
     """Enters how it ended: as the judge saw the last motion, or without one."""
     if execution is None:
         record["grasp_success"] = record["strict_success"] = False
-        record["task_compliance"] = None if allowed is None else False
         if (n := len(record["attempts"])) > 1:
             record["message"] = f"attempt {n}: {record['message']}"
     else:
@@ -249,10 +254,7 @@ def _enter_end(
         record["lift"] = verdict.lift
         record["grasp_success"] = verdict.grasp_success
         record["strict_success"] = verdict.strict_success
-        record["task_compliance"] = complies(verdict.held, allowed)
         record["turned"] = verdict.turned
-    if record["task_compliance"] is not None:
-        record["combined_success"] = record["grasp_success"] and record["task_compliance"]
 
 
 def look(world: World, scenario: Scenario, task: str) -> Simulator:

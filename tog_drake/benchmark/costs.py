@@ -27,7 +27,7 @@ def cost_rows(lines: Sequence["Line"]) -> Rows:
         for stage in ("decide", "execute"):
             seconds = (line["record"]["seconds"].get(stage) for line in runs)
             row |= _spread(stage, [value for value in seconds if value is not None])
-        asked = [found for line in runs if (found := _exchanges(line))]
+        asked = [found for line in runs if (found := exchanges(line))]
         replayed = [all(e["replayed"] is not None for e in found) for found in asked]
         for kind, wanted in (("live", False), ("replayed", True)):
             of_kind = [
@@ -40,17 +40,17 @@ def cost_rows(lines: Sequence["Line"]) -> Rows:
 
 def _questions(kind: str, decisions: Sequence[Sequence["ExchangeRecord"]]) -> dict[str, Any]:
     """What the questions of these decisions took."""
-    exchanges = [exchange for decision in decisions for exchange in decision]
-    prices = [exchange["cost"] for exchange in exchanges]
-    tokens = [exchange["tokens"] for exchange in exchanges]
+    asked = [exchange for decision in decisions for exchange in decision]
+    prices = [exchange["cost"] for exchange in asked]
+    tokens = [exchange["tokens"] for exchange in asked]
     counted = [sum(t[of] for of in ("input", "output")) for t in tokens if t and _counts_both(t)]
     seconds = [sum(exchange["seconds"] for exchange in decision) for decision in decisions]
     priced = [price for price in prices if price is not None]
     return {
         kind: len(decisions),
-        f"{kind}_questions": len(exchanges),
-        f"{kind}_tokens": sum(counted) if len(counted) == len(exchanges) else None,
-        f"{kind}_cost": sum(priced) if len(priced) == len(exchanges) else None,
+        f"{kind}_questions": len(asked),
+        f"{kind}_tokens": sum(counted) if len(counted) == len(asked) else None,
+        f"{kind}_cost": sum(priced) if len(priced) == len(asked) else None,
         **_spread(f"{kind}_model", seconds),
     }
 
@@ -59,7 +59,7 @@ def _counts_both(tokens: dict[str, int]) -> bool:
     return {"input", "output"} <= tokens.keys()
 
 
-def _exchanges(line: "Line") -> list["ExchangeRecord"]:
+def exchanges(line: "Line") -> list["ExchangeRecord"]:
     """The questions of every look of an episode."""
     return [exchange for attempt in line["record"]["attempts"] for exchange in attempt["exchanges"]]
 

@@ -14,9 +14,8 @@ from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import Trial
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
-from tog_drake.episode import Episode, load_objects, run_episode
+from tog_drake.episode import Episode, enter_compliance, load_objects, run_episode
 from tog_drake.errors import InputError
-from tog_drake.judge import complies
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import Decision
@@ -93,14 +92,9 @@ class EpisodeWork:
 
 def _judged_for(task: str, record: EpisodeRecord, labels: ObjectParts) -> EpisodeRecord:
     """The record of the same episode, had the robot been told another task: it reads none."""
-    allowed = labels.allowed(task)
     judged = record.copy()
     judged["task"] = task
-    judged["allowed"] = None if allowed is None else sorted(allowed)
-    judged["task_compliance"] = complies(record["held"], allowed)
-    judged["combined_success"] = (
-        None if allowed is None else record["grasp_success"] and judged["task_compliance"]
-    )
+    enter_compliance(judged, labels.allowed(task))
     return judged
 
 

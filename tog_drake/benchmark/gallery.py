@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tog_drake.benchmark.costs import exchanges
 from tog_drake.benchmark.journal import episode_folder
 from tog_drake.benchmark.sheets import shown
 from tog_drake.record import usage
@@ -148,7 +149,7 @@ def _card(run: "Run", line: "Line", pictures: Pictures, replays: Replays) -> dic
         },
         "view": None if folder is None else pictures.add(folder / VIEW),
         "sent": [key for path in sent if (key := pictures.add(path)) is not None],
-        "asked": [_asked(e) for a in record["attempts"] for e in a["exchanges"]],
+        "asked": [_asked(exchange) for exchange in exchanges(line)],
         "replay": None if folder is None else replays.add(folder / REPLAY),
     }
 
@@ -210,9 +211,13 @@ def _encode(path: Path, side: int, quality: int) -> dict[str, Any] | None:
                 return None
             image.draft("RGB", (side, side))  # a JPEG is read no larger than needed
             small = image.convert("RGB")
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError):
-        return None
-    except Image.DecompressionBombError:
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        UnidentifiedImageError,
+        Image.DecompressionBombError,
+    ):
         return None
     small.thumbnail((side, side), Image.Resampling.BILINEAR)
     file = io.BytesIO()

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from tog_drake.benchmark.cells import Cell, model_hashes, worlds_of
+from tog_drake.benchmark.costs import exchanges
 from tog_drake.benchmark.episodes import EpisodeWork
 from tog_drake.benchmark.journal import SCHEMA, Journal, Line, Result
 from tog_drake.benchmark.method import Method
@@ -219,7 +220,7 @@ def model_costs(line: Line, *, answers: bool = True) -> tuple[list[float], bool]
         line: of the journal.
         answers: whether to count those of the decision, which several lines of an episode share.
     """
-    asked = [e for a in line["record"]["attempts"] for e in a["exchanges"] if e["replayed"] is None]
+    asked = [exchange for exchange in exchanges(line) if exchange["replayed"] is None]
     costs = [e["cost"] for e in asked if answers and e["tokens"] is not None]
     if line["judge"] is not None and line["judge"]["status"] not in ("timed_out", "unreachable"):
         costs.append(line["judge"]["cost"])

@@ -10,7 +10,7 @@ from tog_drake.benchmark.sheets import Cell, Share, Sheet, make_sheet, share
 from tog_drake.benchmark.statistics import Rate
 from tog_drake.benchmark.tables import (
     ALL,
-    CATEGORIES,
+    PAPER,
     RATES,
     Rows,
     candidate_rows,
@@ -145,7 +145,7 @@ def _categories(lines: Sequence["Line"]) -> Sheet:
         "By category",
         ("Method", "Category", "Tasks", *TITLES.values()),
         rows,
-        note=f"All: {', '.join(CATEGORIES)}, the paper's categories; any other is apart.",
+        note=f"All: {', '.join(PAPER)}, the paper's categories; any other is apart.",
     )
 
 

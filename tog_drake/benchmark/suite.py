@@ -26,6 +26,7 @@ import yaml
 
 from tog_drake.assets.library import library_dir
 from tog_drake.assets.model import MODEL
+from tog_drake.benchmark.tables import PAPER
 from tog_drake.episode import load_objects
 from tog_drake.errors import InputError
 from tog_drake.files import read_yaml
@@ -33,8 +34,6 @@ from tog_drake.object_parts import ObjectParts, labels_file, load_parts
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import Scenario, load_scenario, scenario_files
 
-PAPER = ("position", "use", "handover")
-"""The paper's categories: specific position, tool use, handover."""
 CATEGORIES = (*PAPER, "choose")
 SCENARIO = "Tog29"  # of a single imported object: it takes the place of the one there
 TASKS = {"use": "use the {object}", "handover": "hand me the {object}"}

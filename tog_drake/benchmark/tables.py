@@ -27,7 +27,7 @@ RATES = {
     "both": "lifted, and held as the task wants it",
 }
 """The rates of a table, in its order, and what counts as a success."""
-CATEGORIES = ("position", "use", "handover")
+PAPER = ("position", "use", "handover")
 """The paper's, in its order; "all" is of these. An episode of another counts in that one alone."""
 ALL, WITHIN = "all", "all that 8 cm can hold"
 GROUPS = ("category", "scenario", "object", "task")
@@ -75,14 +75,14 @@ def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
 def _groups(line: "Line", by: str, some_beyond: bool) -> list[str]:
     cell: Mapping[str, Any] = line["cell"]
     group = str(cell[by])
-    if by != "category" or group not in CATEGORIES:
+    if by != "category" or group not in PAPER:
         return [group]
     return [group, ALL, *([WITHIN] if some_beyond and not cell["beyond"] else [])]
 
 
 def _rank(group: str) -> tuple[int, str]:
     """Places the paper's categories first, then any other group by name, then all."""
-    known = (*CATEGORIES, None, ALL, WITHIN)
+    known = (*PAPER, None, ALL, WITHIN)
     return known.index(group if group in known else None), group
 
 
@@ -160,7 +160,7 @@ def paired_rows(lines: Sequence["Line"]) -> Rows:
     the grasp, whatever number of tasks it is judged for; of a method that does, the episode of the
     first task stands beside it. ``p`` is McNemar's exact test.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in CATEGORIES]
+    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
     return [
         row
         for first, second in combinations(methods_of(lines), 2)
@@ -203,7 +203,7 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
     A row has the ``base``, the method without its K; ``k``, a number or "auto"; and of "auto" how
     often it chose which K (``chosen_k``), "none" where there was nothing to choose from.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in CATEGORIES]
+    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
     bases: dict[str, dict[str, list[Line]]] = {}
     for line in counted:
         if line["cell"]["k"] is not None:
