@@ -409,7 +409,7 @@ def test_on_recorded_views_the_thing_that_is_meant_gets_grasps(
     view = recorded(shared_data / "rgbd" / name, tmp_path)
     table = find_table(view)
     view = replace(view, X_WC=table.X_WC)
-    cloud = scene_cloud(view, table.workspace, CloudConfig())
+    cloud = scene_cloud([view], table.workspace, CloudConfig())
     grasps = AntipodalProposer(Antipodal(), table.workspace, 0).propose(cloud, view)
     at = project(grasps.p_WContact, view.intrinsics, view.X_WC)
     on_thing = np.linalg.norm(at - pixel, axis=1) < radius

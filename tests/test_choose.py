@@ -221,7 +221,7 @@ def test_what_is_too_wide_for_the_hand_ends_in_status_1_with_the_outcome(tmp_pat
 
 
 def test_grasps_that_push_a_finger_behind_what_was_seen_are_counted(folder, tmp_path, monkeypatch):
-    def every_third(X_WG, opening, view):
+    def every_third(X_WG, opening, views):
         return (np.arange(len(X_WG)) % 3 == 0).astype(float)
 
     monkeypatch.setattr(choose, "hidden_share", every_third)
@@ -235,7 +235,7 @@ def test_grasps_that_push_a_finger_behind_what_was_seen_are_counted(folder, tmp_
 def test_grasps_that_all_push_a_finger_behind_what_was_seen_are_counted_as_hidden(
     folder, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(choose, "hidden_share", lambda X_WG, opening, view: np.ones(len(X_WG)))
+    monkeypatch.setattr(choose, "hidden_share", lambda X_WG, opening, views: np.ones(len(X_WG)))
     done = tog("choose", *_files(folder), *TASK, "--json", "--out", tmp_path / "out")
     record = json.loads(done.out)
     count = record["counts"]["proposed"]

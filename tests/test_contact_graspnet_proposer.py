@@ -323,7 +323,7 @@ def test_contacts_that_are_not_on_the_things_fall_away():
 def test_the_whole_scene_is_shown_once_and_a_local_region_for_each_thing():
     one, other = HAMMER_SIZED, ((0.45, 0.10, 0.0), (0.50, 0.15, 0.05), HAMMER_SIZED[2])
     view = look([TABLE, one, other])
-    cloud = scene_cloud(view, Workspace(), CloudConfig())
+    cloud = scene_cloud([view], Workspace(), CloudConfig())
     for regions, times in (("scene", 1), ("local", 2)):
         network = Scripted(everywhere)
         config = ContactGraspNet(regions=regions)

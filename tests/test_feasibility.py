@@ -162,11 +162,11 @@ def test_a_finger_behind_the_one_face_that_was_seen_of_something_is_hidden():
     sheet = pose([0.455, 0.02, 0.06], [0.0, -1.0, -0.3], (1.0, 0.0, 0.0))
     across = pose([0.50, 0.0, 0.09])
     X_WG, width = np.array([sheet, across]), np.array([0.01, 0.06])
-    share = hidden_share(X_WG, width + 0.02, view)
+    share = hidden_share(X_WG, width + 0.02, [view])
     assert share[0] > 0.5
     assert share[1] < 0.2
     grasps = Grasps(X_WG, width, np.ones(2), X_WG[:, :3, 3])
-    kept = feasible_grasps(grasps, make_cloud(), Q_NOW, planning_model(), CONFIG, view=view)
+    kept = feasible_grasps(grasps, make_cloud(), Q_NOW, planning_model(), CONFIG, views=[view])
     assert kept.rejected["hidden"] == 1
     np.testing.assert_array_equal(kept.width, [0.06])
 

@@ -372,7 +372,7 @@ def test_any_of_the_names_may_be_missing_or_wrong_and_nothing_else_happens(tmp_p
 @pytest.fixture(scope="module")
 def antipodal():
     view = look([TABLE, HAMMER_SIZED], eye=(0.3, 0.25, 0.45))
-    seen = scene_cloud(view, Workspace(), CloudConfig())
+    seen = scene_cloud([view], Workspace(), CloudConfig())
     return view, seen, AntipodalProposer(Antipodal(), Workspace(), 0).propose(seen, view)
 
 

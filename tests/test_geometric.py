@@ -221,7 +221,7 @@ def test_on_a_recorded_view_the_object_that_is_named_is_found(shared_data, frame
     from tog_drake.task import read_task
 
     view, workspace = recorded(shared_data / "rgbd" / frame)
-    cloud = scene_cloud(view, workspace, CloudConfig())
+    cloud = scene_cloud([view], workspace, CloudConfig())
     points = cloud.xyzs().T.astype(float)
     found = find_target(
         read_task(task), points, cloud.normals().T.astype(float), cloud.rgbs().T, view.rgb

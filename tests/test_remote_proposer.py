@@ -60,7 +60,7 @@ def no_waiting(monkeypatch):
 def scene():
     """A view and its cloud: a block on a table."""
     view = look([TABLE, ((0.44, -0.02, 0.0), (0.56, 0.02, 0.06), RED)])
-    return view, scene_cloud(view, Workspace(), CloudConfig())
+    return view, scene_cloud([view], Workspace(), CloudConfig())
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ def test_the_workspace_holds_the_things_and_not_what_is_beside_the_table():
     table = find_table(view)
     assert table.X_WC[2, 3] == pytest.approx(0.5, abs=0.003)  # the desk, not the floor
     view = replace(view, X_WC=table.X_WC)
-    cloud = scene_cloud(view, table.workspace, CloudConfig())
+    cloud = scene_cloud([view], table.workspace, CloudConfig())
     assert np.all(cloud.rgbs().T == RED)
     assert cloud.xyzs()[2].max() == pytest.approx(0.2, abs=0.003)
 
@@ -126,7 +126,7 @@ def test_on_recorded_views_the_table_is_gone_and_the_things_are_there(shared_dat
     table = find_table(view)
     assert table.X_WC[2, 3] == pytest.approx(height, abs=0.03)
     view = replace(view, X_WC=table.X_WC)
-    p_W = scene_cloud(view, table.workspace, CloudConfig()).xyzs().T.astype(float)
+    p_W = scene_cloud([view], table.workspace, CloudConfig()).xyzs().T.astype(float)
     assert np.mean(p_W[:, 2] < 0.012) < 0.25  # the feet of the things, hardly any table
     for thing, pixel in things.items():
         assert distance_to_ray(p_W, view, pixel) < 0.006, thing

@@ -57,7 +57,7 @@ def choose_on_view(
     selector, proposer = make_selector(config, seed), make_proposer(config, seed)
     decision.view = view
     try:
-        cloud = timed("cloud", lambda: scene_cloud(view, config.workspace, config.cloud))
+        cloud = timed("cloud", lambda: scene_cloud([view], config.workspace, config.cloud))
     except NoGrasp as error:
         raise InputError(str(error)) from error  # here the view is what was given
     decision.cloud = cloud
@@ -85,7 +85,7 @@ def _free(grasps: Grasps, view: View, max_hidden: float) -> FeasibleGrasps:
 
     Raises NoFeasibleGrasp if all do.
     """
-    hidden = hidden_share(grasps.X_WG, arrival_opening(grasps.width), view) > max_hidden
+    hidden = hidden_share(grasps.X_WG, arrival_opening(grasps.width), [view]) > max_hidden
     if hidden.all():
         raise NoFeasibleGrasp(
             f"all {len(grasps)} proposed grasps would push a finger behind what was seen: show the "

@@ -1,6 +1,11 @@
-"""From a view to the cloud of what stands on the table: cropped, thinned, with normals."""
+"""From views to the cloud of what stands on the table: cropped, thinned, with normals.
 
-from collections.abc import Callable
+Several views are fused: each becomes points with normals by itself, as if there were no other, and
+those of a cube that face the same way become one. The two sides of a thin wall, of which each
+camera saw one, stay two.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +17,14 @@ from pydrake.systems.framework import Context, LeafSystem
 from tog_drake.denoising import Image, denoised, inverse_depth_noise
 from tog_drake.errors import InputError, NoGrasp
 from tog_drake.pinhole import unproject_pixels
-from tog_drake.points import clusters, group_means, neighbors, surface_normals, voxel_numbers
+from tog_drake.points import (
+    clusters,
+    facing_numbers,
+    group_means,
+    neighbors,
+    surface_normals,
+    voxel_numbers,
+)
 from tog_drake.values import Array, View, Workspace
 
 _NEAR_TABLE = 0.02  # [m] points so close to the table's height tell how noisy it is
@@ -28,6 +40,7 @@ Spheres = tuple[Array, Array]
 class CloudConfig:
     """How a view becomes a cloud."""
 
+    fuse: bool = False  # the views of all cameras, not of the pipeline's own alone
     voxel: float = 0.003  # [m] one point is kept per cube of this edge: the mean of its points. The
     # geometric selector counts points and expects about this spacing.
     table_clearance: float = 0.004  # [m] what lies lower above the table top counts as table
@@ -43,7 +56,7 @@ class CloudConfig:
 
 
 class SceneCloud(LeafSystem):
-    """Turns the view into the cloud of the things on the table.
+    """Turns the view, or all views, into the cloud of the things on the table.
 
     .. pydrake_system::
 
@@ -94,28 +107,56 @@ class SceneCloud(LeafSystem):
         if self._robot_spheres is not None:
             robot = self._robot_spheres(self._position.Eval(context))
         view = self._view.Eval(context)
-        output.set_value(scene_cloud(view, self._workspace, self._config, robot))
+        output.set_value(scene_cloud([view], self._workspace, self._config, robot))
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """N points of the things, and maybe specks and bumps of the table."""
+
+    p_W: Array  # (N, 3) [m]
+    rgb: Array  # (N, 3) 0 to 255
+    noise: Array  # (N,) [m] standard deviation of a table's points at that distance
+    normal: Array  # (N, 3) unit, towards the camera
+    pixels: int  # that showed something there
 
 
 def scene_cloud(
-    view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None = None
+    views: Sequence[View], workspace: Workspace, config: CloudConfig, robot: Spheres | None = None
 ) -> PointCloud:
     """Returns the points of the things on the table.
 
     Args:
-        view: the image and where it was taken from.
+        views: the images and where they were taken from, at least one.
         workspace: what lies outside it, or not above its table, is left out.
         config: see ``CloudConfig``.
         robot: the balls that cover the robot; the points in them are left out.
 
     Returns:
-        A cloud in W with colours and with unit normals turned towards the camera, in an order that
-        depends only on where the points are.
+        A cloud in W with colours and with unit normals turned towards the cameras that saw them,
+        in an order that depends only on where the points are.
 
     Raises:
-        InputError: the depth image is all holes.
+        InputError: a depth image is all holes.
         NoGrasp: nothing is left.
     """
+    seen = [_seen(view, workspace, config, robot) for view in views]
+    surface = seen[0] if len(seen) == 1 else _fused(seen, config.voxel)
+    keep = _of_things(surface, workspace, config)
+    if not keep.any():
+        raise NoGrasp(
+            f"no object in view: {surface.pixels} of "
+            f"{sum(np.count_nonzero(view.depth > 0) for view in views)} pixels with "
+            f"depth lie in the workspace above the table; thinned and without the robot they are "
+            f"{len(surface.p_W)} points, none of them in a cluster of at least "
+            f"{config.min_cluster_points} that rises {config.min_rise} m above the table's "
+            "clearance. Check the camera's pose, the workspace and the table height"
+        )
+    return _point_cloud(surface.p_W[keep], surface.rgb[keep], surface.normal[keep])
+
+
+def _seen(view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None) -> _Surface:
+    """What one view shows."""
     if not np.any(view.depth > 0):
         raise InputError(
             f"all {view.depth.size} pixels of the depth image are holes (0, NaN or inf): check the "
@@ -127,24 +168,41 @@ def scene_cloud(
     if robot is not None:
         keep = ~_inside(p_W, robot, config.robot_padding)
         p_W, rgb, noise = p_W[keep], rgb[keep], noise[keep]
-    without_robot = len(p_W)
-    if without_robot > 0:
+    normal = np.zeros((0, 3))
+    if len(p_W) > 0:
         neighborhood = neighbors(p_W, config.normal_neighbors)
-        label = clusters(neighborhood, config.max_gap)
         normal = surface_normals(p_W, neighborhood, config.max_gap, view.X_WC[:3, 3])
-        keep = np.bincount(label)[label] >= config.min_cluster_points
-        rise = p_W[:, 2] - workspace.table_height - _margin(noise, workspace, config)
-        keep &= np.bincount(label, rise > np.maximum(config.min_rise, noise))[label] > 0
-        p_W, rgb, normal = p_W[keep], rgb[keep], normal[keep]
+    return _Surface(p_W, rgb, noise, normal, len(pixel))
+
+
+def _fused(seen: Sequence[_Surface], voxel: float) -> _Surface:
+    """One surface of several: in each cube the mean of the points that face the same way.
+
+    A point counts the more the less noisy it is, as the inverse of its variance.
+    """
+    p_W, rgb, normal = (
+        np.concatenate([getattr(surface, name) for surface in seen])
+        for name in ("p_W", "rgb", "normal")
+    )
+    noise = np.concatenate([surface.noise for surface in seen])
+    number = facing_numbers(p_W, normal, voxel)
+    weight = 1 / (noise**2 + _EXACT**2)
+    mean = group_means(number, np.column_stack([p_W, rgb, normal, noise]), weight)
+    p_W, rgb, normal, noise = mean[:, :3], mean[:, 3:6], mean[:, 6:9], mean[:, 9]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
+    return _Surface(p_W, rgb, noise, normal, sum(surface.pixels for surface in seen))
+
+
+def _of_things(surface: _Surface, workspace: Workspace, config: CloudConfig) -> NDArray[np.bool_]:
+    """Which points are in no speck and no bump of the table, (N,)."""
+    p_W, noise = surface.p_W, surface.noise
     if len(p_W) == 0:
-        raise NoGrasp(
-            f"no object in view: {len(pixel)} of {np.count_nonzero(view.depth > 0)} pixels with "
-            f"depth lie in the workspace above the table; thinned and without the robot they are "
-            f"{without_robot} points, none of them in a cluster of at least "
-            f"{config.min_cluster_points} that rises {config.min_rise} m above the table's "
-            "clearance. Check the camera's pose, the workspace and the table height"
-        )
-    return _point_cloud(p_W, rgb, normal)
+        return np.zeros(0, dtype=bool)
+    label = clusters(neighbors(p_W, config.normal_neighbors), config.max_gap)
+    keep = np.bincount(label)[label] >= config.min_cluster_points
+    rise = p_W[:, 2] - workspace.table_height - _margin(noise, workspace, config)
+    keep &= np.bincount(label, rise > np.maximum(config.min_rise, noise))[label] > 0
+    return keep
 
 
 def _standing_out(

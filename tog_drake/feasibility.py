@@ -4,6 +4,7 @@ Decided before any model is asked. A grasp is a straight approach along z_G, clo
 lift along z_W; it passes, in this order, the questions of ``REASONS``.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,7 +87,7 @@ def feasible_grasps(
     *,
     table_height: float = 0.0,
     failed: Grasps | None = None,
-    view: View | None = None,
+    views: Sequence[View] = (),
 ) -> FeasibleGrasps:
     """Returns the grasps that can be carried out, in their order, with the paths that do it.
 
@@ -101,7 +102,7 @@ def feasible_grasps(
         config: the room demanded.
         table_height: [m] z of the table top in W.
         failed: grasps that were tried and held nothing; what is like them is rejected.
-        view: what the cloud was made from; without it nothing counts as hidden.
+        views: what the cloud was made from; without them nothing counts as hidden.
 
     Raises:
         NoGrasp: there are no proposals.
@@ -117,9 +118,7 @@ def feasible_grasps(
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
     others = disturbs_others(grasps, points, config.lift_height, config.lift_clearance)
-    hidden = np.zeros(len(grasps), dtype=bool)
-    if view is not None:
-        hidden = hidden_share(grasps.X_WG, opening, view) > config.max_hidden
+    hidden = hidden_share(grasps.X_WG, opening, views) > config.max_hidden
     again = _like(grasps, Grasps.empty() if failed is None else failed, config)
     fate = np.select(
         [again, low, blocked, others, hidden],
@@ -353,6 +352,6 @@ class FeasibilityFilter(LeafSystem):
                 self._config,
                 table_height=self._table_height,
                 failed=self._failed.Eval(context),
-                view=self._view.Eval(context),
+                views=[self._view.Eval(context)],
             )
         )

@@ -33,11 +33,36 @@ def voxel_numbers(points: Array, voxel: float) -> Rows:
     return number
 
 
-def group_means(number: Rows, values: Array) -> Array:
-    """Returns the mean of the rows of ``values`` (N, C) in each group 0 .. M−1, as (M, C)."""
-    count = np.bincount(number)
-    sums = [np.bincount(number, weights=column) for column in values.T]
-    return np.asarray(np.column_stack(sums) / count[:, None])
+def facing_numbers(points: Array, normals: Array, voxel: float) -> Rows:
+    """Returns which cube each point lies in, and there on which side of a surface.
+
+    As ``voxel_numbers``, but points whose normal is turned by more than 120° from that of the
+    first point of their cube have a number of their own, the next one.
+
+    Args:
+        points: (N, 3) [m].
+        normals: (N, 3) unit.
+        voxel: [m].
+    """
+    number = voxel_numbers(points, voxel)
+    first = np.unique(number, return_index=True)[1]
+    turned = np.einsum("ni,ni->n", normals, normals[first][number]) < np.cos(np.radians(120))
+    if not turned.any():
+        return number
+    sides: Rows = np.unique(2 * number + turned, return_inverse=True)[1].astype(np.int64)
+    return sides
+
+
+def group_means(number: Rows, values: Array, weight: Array | None = None) -> Array:
+    """Returns the mean of the rows of ``values`` (N, C) in each group 0 .. M−1, as (M, C).
+
+    Args:
+        weight: (N,) of each row, above 0; without it all count alike.
+    """
+    total = np.bincount(number, weight)
+    rows = values if weight is None else values * weight[:, None]
+    sums = [np.bincount(number, weights=column) for column in rows.T]
+    return np.asarray(np.column_stack(sums) / total[:, None])
 
 
 def neighbors(points: Array, k: int) -> tuple[Array, Rows]:

@@ -4,7 +4,10 @@ Behind what is seen there may be anything: the rest of a thick thing of which on
 another thing. A finger that goes there may well meet it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, PAD_WIDTH
 from tog_drake.pinhole import project
@@ -14,16 +17,17 @@ _BEHIND = 0.006  # [m] less behind a surface is not hidden: depth noise
 _ALONG = np.linspace(-0.03, FINGERTIP_Z - 0.001, 7)  # [m] z_G of the samples: the fingers' ends
 
 
-def hidden_share(X_WG: Array, opening: Array, view: View) -> Array:
-    """Returns how much of a finger's end is hidden by what the camera saw, (N,) from 0 to 1.
+def hidden_share(X_WG: Array, opening: Array, views: Sequence[View]) -> Array:
+    """Returns how much of a finger's end is hidden by what the cameras saw, (N,) from 0 to 1.
 
-    Of the two fingers, the one that is hidden more counts. What is out of the image or in a hole
-    of the depth image counts as seen.
+    Of the two fingers, the one that is hidden more counts. With several views a place is hidden if
+    none of them sees it. A view in which it is out of the image or in a hole of the depth image
+    tells nothing; where none tells anything, the place counts as seen.
 
     Args:
         X_WG: (N, 4, 4).
         opening: (N,) [m] between the pads.
-        view: what the camera saw.
+        views: what the cameras saw; without any, nothing is hidden.
     """
     x = np.linspace(-0.5, 0.5, 3) * PAD_WIDTH
     outwards = np.linspace(0, 1, 3) * FINGER_THICKNESS
@@ -32,18 +36,26 @@ def hidden_share(X_WG: Array, opening: Array, view: View) -> Array:
     p_G = np.broadcast_to(finger, (len(X_WG), *finger.shape)).copy()
     p_G[..., 1] += np.array([-0.5, 0.5])[:, None] * opening[:, None, None]
     p_W = np.einsum("nij,nfsj->nfsi", X_WG[:, :3, :3], p_G) + X_WG[:, None, None, :3, 3]
-    hidden = _behind(p_W.reshape(-1, 3), view) > _BEHIND
+    hidden = _hidden(p_W.reshape(-1, 3), views)
     return np.asarray(hidden.reshape(p_G.shape[:3]).mean(axis=2).max(axis=1))
 
 
+def _hidden(p_W: Array, views: Sequence[View]) -> NDArray[np.bool_]:
+    """Which points (N, 3) lie behind what a view shows, and are seen in none."""
+    behind = np.full(len(p_W), np.nan)  # in the view in which it is least
+    for view in views:
+        behind = np.fmin(behind, _behind(p_W, view))
+    return np.asarray(behind > _BEHIND)
+
+
 def _behind(p_W: Array, view: View) -> Array:
-    """How far each point (N, 3) lies behind what is seen in its pixel, (N,) [m]; 0 if unknown."""
+    """How far each point (N, 3) lies behind what is seen in its pixel, (N,) [m]; NaN if unknown."""
     pixel = np.rint(project(p_W, view.intrinsics, view.X_WC))
     height, width = view.depth.shape
     inside = np.all((pixel >= 0) & (pixel < [width, height]), axis=1)  # False where NaN
     column, row = pixel[inside].astype(np.int64).T
     depth = view.depth[row, column]
     z = (p_W[inside] - view.X_WC[:3, 3]) @ view.X_WC[:3, 2]
-    behind = np.zeros(len(p_W))
-    behind[inside] = np.where(depth > 0, z - depth, 0)
+    behind = np.full(len(p_W), np.nan)
+    behind[inside] = np.where(depth > 0, z - depth, np.nan)
     return behind

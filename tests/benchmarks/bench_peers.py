@@ -107,7 +107,7 @@ def test_cloud_ours_cropped_thinned_with_normals(depth, benchmark):
     X_WC[:3, 3] = [0.5, 0.0, 0.5]
     view = View(np.zeros((*image.shape, 3), np.uint8), image, camera, X_WC)
     nobody = np.zeros((0, 3)), np.zeros(0)
-    benchmark(scene_cloud, view, Workspace(), CloudConfig(), nobody)
+    benchmark(scene_cloud, [view], Workspace(), CloudConfig(), nobody)
 
 
 def test_cloud_drake_depth_image_to_point_cloud(depth, benchmark):

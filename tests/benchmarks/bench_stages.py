@@ -64,7 +64,7 @@ def test_1_render(looked, benchmark):
 def test_2_cloud(looked, benchmark):
     config, world, _, decision, q, _ = looked
     centres, radii, _ = world.planning_model.spheres(q[None], MAX_OPENING)
-    benchmark(scene_cloud, decision.view, config.workspace, config.cloud, (centres[0], radii))
+    benchmark(scene_cloud, [decision.view], config.workspace, config.cloud, (centres[0], radii))
 
 
 def test_3_propose(looked, benchmark):
