@@ -41,7 +41,7 @@ from tog_drake.values import Workspace
 
 # A bar 20 cm long, 3 cm wide and high, along x of W, seen from its end and its side.
 VIEW = look([TABLE, HAMMER_SIZED], eye=(0.3, 0.25, 0.45))
-CLOUD = scene_cloud(VIEW, Workspace(), CloudConfig())
+CLOUD = scene_cloud([VIEW], Workspace(), CloudConfig())
 
 
 def rng(seed=0):
