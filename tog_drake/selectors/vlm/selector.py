@@ -5,8 +5,6 @@ a decision, the vote, and what to do where the model gives no answer that can be
 takes the place of an answer without being named.
 """
 
-import math
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,18 +19,15 @@ from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
 from tog_drake.selectors.scene import Nearest, Pick, Scene
 from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES
-from tog_drake.selectors.vlm.cassette import Cassette, Mode
-from tog_drake.selectors.vlm.client import Client
+from tog_drake.selectors.vlm.connection import connect
 from tog_drake.selectors.vlm.dialogue import Dialogue
-from tog_drake.selectors.vlm.profiles import Profile, find_profile
 from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.request import QuestionPending, Request
-from tog_drake.selectors.vlm.specification import ModelConfig, check_model
+from tog_drake.selectors.vlm.specification import ModelConfig
 from tog_drake.task import read_task
 from tog_drake.values import Candidates, Choice, Exchange, Grasps, View, Workspace
 
 FALLBACKS = ("fail", "geometric")
-MAX_DEADLINE = 3600.0  # [s]
 
 
 @dataclass
@@ -75,11 +70,18 @@ class VlmSelector:
         self._config = config
         self._seed = seed
         self._geometric = GeometricSelector(Geometric(), workspace)
-        self._model, self._profile, self._client = _connect(config, export)
+        self._connection = connect(
+            "!Vlm",
+            config.model,
+            deadline=config.deadline,
+            record=config.record,
+            replay=config.replay,
+            export=export,
+        )
 
     def check_key(self) -> None:
         """Raises InputError where the model will be asked for sure, and its key is missing."""
-        self._client.check_key()
+        self._connection.client.check_key()
 
     def select(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Choice:
         """Returns the grasp that the model's answers single out, or what the fallback chooses.
@@ -97,12 +99,7 @@ class VlmSelector:
             raise NoGrasp("There is no feasible grasp to choose from.")
         scene = self._scene(view, cloud, candidates, task)
         self._check_size(scene)
-        dialogue = Dialogue(
-            self._client,
-            self._profile,
-            max_tokens=self._model.max_tokens,
-            deadline=time.monotonic() + self._config.deadline,
-        )
+        dialogue = self._connection.dialogue()
         try:
             pick = self._vote(scene, dialogue)
         except Unanswered as error:
@@ -129,11 +126,12 @@ class VlmSelector:
 
     def _check_size(self, scene: Scene) -> None:
         """Raises InputError where the model is to tell pixels of an image that it sees resized."""
-        size, most = scene.framing(Grasps.empty()).size, self._profile.max_side
+        profile = self._connection.profile
+        size, most = scene.framing(Grasps.empty()).size, profile.max_side
         if self._config.strategy in POINTING and most is not None and max(size) > most:
             raise InputError(
                 f"the view is {size[0]}×{size[1]} pixels large, and models of the profile "
-                f"{self._profile.name} tell the pixels of images up to {most} on the long side: "
+                f"{profile.name} tell the pixels of images up to {most} on the long side: "
                 "use rendering: marked (--rendering marked), which is sent smaller, or a smaller "
                 "view"
             )
@@ -190,28 +188,6 @@ class VlmSelector:
         )
 
 
-def _connect(config: Vlm, export: Path | None) -> tuple[ModelConfig, Profile, Client]:
-    """Returns whom to ask and by what; a cassette that is replayed names its model itself."""
-    files: dict[Mode, Path | str | None] = {
-        "export": export,
-        "replay": config.replay,
-        "record": config.record,
-    }
-    cassette = next((Cassette(file, mode) for mode, file in files.items() if file), None)
-    model = config.model
-    if model is None and cassette is not None and cassette.mode == "replay":
-        model = cassette.model()
-    if model is None:
-        raise InputError(
-            "the selector vlm has no model to ask: give --vlm openai:MODEL@URL | gemini:MODEL | "
-            "anthropic:MODEL | replay:FILE, or in a scenario `selector: !Vlm {model: !OpenAi "
-            "{model: NAME, base_url: URL}}`"
-        )
-    check_model(model)
-    found = find_profile(model.model, model.profile)
-    return model, found, Client(model, profile=found.name, cassette=cassette)
-
-
 def _check(config: Vlm) -> None:
     """Raises InputError for a field that is out of its bounds."""
     _one_of("strategy", config.strategy, STRATEGIES)
@@ -227,12 +203,6 @@ def _check(config: Vlm) -> None:
             f"!Vlm: votes: 2 asks again with permuted marks, and {config.strategy} does not mark "
             f"the same grasps twice; valid with it: votes: 1, or {', '.join(PERMUTABLE)}"
         )
-    if not (math.isfinite(config.deadline) and 0 < config.deadline <= MAX_DEADLINE):
-        raise InputError(
-            f"!Vlm: deadline: {config.deadline:g}; valid: above 0, at most {MAX_DEADLINE:g} s"
-        )
-    if config.record is not None and config.replay is not None:
-        raise InputError("!Vlm: record and replay are given; valid: one of them")
 
 
 def _one_of(field: str, given: str, valid: Iterable[str]) -> None:
