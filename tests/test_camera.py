@@ -119,11 +119,11 @@ def _render_tilted_box():
             depth_camera=DepthRenderCamera(core, DepthRange(0.1, 5)),
         )
     )
-    stage = builder.AddSystem(Camera(rendered_intrinsics(info)))
+    stage = builder.AddSystem(Camera({"top": rendered_intrinsics(info)}))
     builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
-    builder.Connect(sensor.color_image_output_port(), stage.GetInputPort("rgb_image"))
-    builder.Connect(sensor.depth_image_32F_output_port(), stage.GetInputPort("depth_image"))
-    builder.Connect(sensor.body_pose_in_world_output_port(), stage.GetInputPort("X_WC"))
+    builder.Connect(sensor.color_image_output_port(), stage.GetInputPort("top.rgb_image"))
+    builder.Connect(sensor.depth_image_32F_output_port(), stage.GetInputPort("top.depth_image"))
+    builder.Connect(sensor.body_pose_in_world_output_port(), stage.GetInputPort("top.X_WC"))
     diagram = builder.Build()
     context = stage.GetMyContextFromRoot(diagram.CreateDefaultContext())
     view = stage.GetOutputPort("view").Eval(context)
@@ -138,17 +138,17 @@ def images(width, height, depth=1.0):
     return rgba, metres
 
 
-def fix(camera, rgba, metres, X_WC=None):
-    context = camera.CreateDefaultContext()
-    camera.GetInputPort("rgb_image").FixValue(context, Value(rgba))
-    camera.GetInputPort("depth_image").FixValue(context, Value(metres))
-    camera.GetInputPort("X_WC").FixValue(context, Value(X_WC or RigidTransform()))
+def fix(camera, rgba, metres, X_WC=None, name="top", context=None):
+    context = context or camera.CreateDefaultContext()
+    camera.GetInputPort(f"{name}.rgb_image").FixValue(context, Value(rgba))
+    camera.GetInputPort(f"{name}.depth_image").FixValue(context, Value(metres))
+    camera.GetInputPort(f"{name}.X_WC").FixValue(context, Value(X_WC or RigidTransform()))
     return context
 
 
 def test_the_view_is_a_copy_with_colour_depth_and_pose():
     rgba, metres = images(8, 6)
-    camera = Camera(SMALL)
+    camera = Camera({"top": SMALL})
     context = fix(camera, rgba, metres, RigidTransform([1.0, 2.0, 3.0]))
     view = camera.GetOutputPort("view").Eval(context)
     assert view.rgb.shape == (6, 8, 3)
@@ -157,7 +157,7 @@ def test_the_view_is_a_copy_with_colour_depth_and_pose():
     assert view.X_WC[:3, 3].tolist() == [1.0, 2.0, 3.0]
     assert view.intrinsics == SMALL
     before = view.depth.copy()
-    for port in ("rgb_image", "depth_image"):
+    for port in ("top.rgb_image", "top.depth_image"):
         image = camera.GetInputPort(port).Eval(context)
         assert not np.shares_memory(image.data, view.rgb)
         assert not np.shares_memory(image.data, view.depth)
@@ -168,7 +168,7 @@ def test_the_view_is_a_copy_with_colour_depth_and_pose():
 def test_depth_that_is_no_distance_becomes_a_hole(missing):
     rgba, metres = images(8, 6)
     metres.mutable_data[2, 3] = missing
-    camera = Camera(SMALL)
+    camera = Camera({"top": SMALL})
     view = camera.GetOutputPort("view").Eval(fix(camera, rgba, metres))
     assert view.depth[2, 3] == 0
     assert np.count_nonzero(view.depth) == 6 * 8 - 1
@@ -181,18 +181,41 @@ def test_an_image_of_another_size_is_refused_by_name(wrong):
         rgba = images(4, 6)[0]
     else:
         metres = images(4, 6)[1]
-    camera = Camera(SMALL)
-    with pytest.raises(InputError, match=f"{wrong} image is 4×6 .* 8×6"):
+    camera = Camera({"top": SMALL})
+    with pytest.raises(InputError, match=f"top: the {wrong} image is 4×6 .* 8×6"):
         camera.GetOutputPort("view").Eval(fix(camera, rgba, metres))
 
 
 def test_the_view_is_computed_once_as_time_passes():
-    camera = Camera(SMALL)
+    camera = Camera({"top": SMALL})
     context = fix(camera, *images(8, 6))
     port = camera.GetOutputPort("view")
     first = port.Eval(context)
     context.SetTime(1.0)
     assert port.Eval(context) is first
+
+
+def test_the_views_of_all_cameras_come_in_their_order_the_first_as_on_the_other_port():
+    larger = Intrinsics(width=10, height=4, fx=9.0, fy=9.0, cx=4.5, cy=1.5)
+    camera = Camera({"top": SMALL, "side": larger})
+    context = fix(camera, *images(8, 6))
+    fix(camera, *images(10, 4, depth=2.0), RigidTransform([0, 1.0, 0]), "side", context)
+    top, side = camera.GetOutputPort("views").Eval(context)
+    assert (top.camera, side.camera) == ("top", "side")
+    assert top.view is camera.GetOutputPort("view").Eval(context)
+    assert side.view.intrinsics == larger
+    assert side.view.depth.shape == (4, 10)
+    assert side.view.depth.max() == 2.0
+    assert side.view.X_WC[:3, 3].tolist() == [0, 1.0, 0]
+
+
+def test_the_own_view_needs_no_image_of_another_camera():
+    camera = Camera({"top": SMALL, "side": SMALL})
+    context = fix(camera, *images(8, 6))
+    assert camera.GetOutputPort("view").Eval(context).depth.shape == (6, 8)
+    fix(camera, *images(0, 0), name="side", context=context)
+    with pytest.raises(InputError, match="side: the colour image is 0×0"):
+        camera.GetOutputPort("views").Eval(context)
 
 
 def test_the_synthetic_views_of_these_tests_show_what_they_should():

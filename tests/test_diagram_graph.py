@@ -11,12 +11,12 @@ from tog_drake.errors import InputError
 from tog_drake.scenario import load_scenario
 
 CHAIN = [
-    "station", "camera", "cloud", "proposer", "feasibility", "candidates", "selector",
-    "trajectory", "executor", "station_again",
+    "station", "camera", "cloud", "proposer", "feasibility", "candidates", "view_selector",
+    "selector", "trajectory", "executor", "station_again",
 ]  # fmt: skip
 CLASSES = [
     "SimulationStation", "Camera", "SceneCloud", "GraspProposer", "FeasibilityFilter",
-    "CandidatePicker", "GraspSelector", "TrajectoryOptimizer", "GraspExecutor",
+    "CandidatePicker", "ViewSelector", "GraspSelector", "TrajectoryOptimizer", "GraspExecutor",
 ]  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def test_every_input_of_every_stage_is_drawn_as_an_arrow_or_named_in_its_box(wor
         name = stage.get_name()
         drawn = [port for (_, head), ports in arrows.items() if head == name for port in ports]
         drawn += boxes[name][1:]
-        drawn = sorted(port.removeprefix("wrist.") for port in drawn if port)
+        drawn = sorted(filter(None, drawn))
         ports = [stage.get_input_port(i).get_name() for i in range(stage.num_input_ports())]
         assert drawn == sorted(port for port in ports if port != "task")
 

@@ -30,7 +30,8 @@ def test_every_stage_gives_its_value_and_its_time(looked):
     assert decision.error is None
     assert all(getattr(decision, stage.port) is not None for stage in STAGES)
     assert set(decision.seconds) == {
-        "render", "cloud", "propose", "filter", "candidates", "select", "plan"
+        "render", "cloud", "propose", "filter", "candidates", "choose_view", "select",
+        "plan",
     }  # fmt: skip
 
 
@@ -92,8 +93,8 @@ def test_the_oracle_needs_a_simulation():
 
 def test_no_stage_imports_another_stage_a_station_or_the_scenario():
     stages = (
-        "camera", "cloud", "proposer", "feasibility", "candidates", "selector", "trajectory",
-        "executor",
+        "camera", "cloud", "proposer", "feasibility", "candidates", "view_selection", "selector",
+        "trajectory", "executor",
     )  # fmt: skip
     package = Path(tog_drake.pipeline.__file__).parent
     for stage in stages:

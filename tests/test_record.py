@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import NoChoice, NoFeasibleGrasp, NoGrasp, NoPlan
+from tog_drake.errors import NoChoice, NoFeasibleGrasp, NoGrasp, NoPlan, NoView
 from tog_drake.pipeline import Decision, PipelineConfig, Random, TopScore
 from tog_drake.record import (
     OUTCOMES,
@@ -21,7 +21,9 @@ from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.values import Candidates, Choice, Exchange, FeasibleGrasps, GraspMotion, Grasps
 from tog_drake.vlm_record import MAX_ANSWER
 
-STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
+STAGES = [
+    "render", "cloud", "propose", "filter", "candidates", "choose_view", "select", "plan",
+]  # fmt: skip
 
 
 def _grasps(n, type_=Grasps):
@@ -87,7 +89,7 @@ def test_a_decision_that_was_not_executed_says_nothing_about_success():
 def test_deciding_is_all_but_rendering_and_executing():
     seconds = _record(_decision())["seconds"]
     assert list(seconds) == [*STAGES, "decide", "execute"]
-    assert seconds["decide"] == pytest.approx(0.6)
+    assert seconds["decide"] == pytest.approx(0.7)
     assert seconds["execute"] is None
 
 
@@ -97,6 +99,7 @@ def test_deciding_is_all_but_rendering_and_executing():
         (NoGrasp("nothing there"), "no_grasp"),
         (NoFeasibleGrasp("none", {"no_ik": 4}), "no_grasp"),
         (NoChoice("unsure"), "no_choice"),
+        (NoView("no server"), "no_view"),
         (NoPlan("blocked"), "no_plan"),
     ],
 )

@@ -6,7 +6,7 @@ from pydrake.perception import PointCloud
 from tog_drake.errors import NoChoice
 from tog_drake.selector import ALTERNATIVES, GraspSelector, choose
 from tog_drake.selectors.baselines import TopScoreSelector
-from tog_drake.values import Candidates, Choice, Grasps, View
+from tog_drake.values import Candidates, Choice, Grasps, SelectedView, View
 
 
 class Scripted:
@@ -26,7 +26,11 @@ class Scripted:
 def stage(selector, task="hand me the hammer"):
     system = GraspSelector(selector)
     context = system.CreateDefaultContext()
-    inputs = {"view": View.empty(), "cloud": PointCloud(0), "candidates": Candidates.empty()}
+    inputs = {
+        "selected_view": SelectedView.none(),
+        "cloud": PointCloud(0),
+        "candidates": Candidates.empty(),
+    }
     for name, value in (inputs | {"task": task}).items():
         system.GetInputPort(name).FixValue(context, Value(value))
     return system, context

@@ -52,7 +52,7 @@ def test_only_the_oracle_is_given_ground_truth(world):
 
 def test_nothing_feeds_through_from_perception_to_the_command(world):
     pipeline = world.pipeline
-    for image in ("rgb_image", "depth_image", "X_WC", "task"):
+    for image in ("wrist.rgb_image", "wrist.depth_image", "wrist.X_WC", "task"):
         for command in INPUTS:
             assert not pipeline.HasDirectFeedthrough(
                 pipeline.GetInputPort(image).get_index(),

@@ -1,70 +1,100 @@
-"""From the station's images to a ``View``: colour, depth, the pinhole model and the pose."""
+"""From the station's images to views: colour, depth, the pinhole model and the pose."""
+
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, InputPort, LeafSystem
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F, ImageRgba8U
 
 from tog_drake.errors import InputError
-from tog_drake.values import Intrinsics, View
+from tog_drake.values import CameraView, Intrinsics, View
 
 
 class Camera(LeafSystem):
-    """Copies one colour-and-depth image into a ``View``.
+    """Copies the colour-and-depth images of one camera or several into views.
 
     .. pydrake_system::
 
         name: Camera
         input_ports:
-        - rgb_image
-        - depth_image
-        - X_WC
+        - "{camera}.rgb_image"
+        - "{camera}.depth_image"
+        - "{camera}.X_WC"
         output_ports:
         - view
+        - views
+
+    ``view`` is that of the first camera, the pipeline's own; ``views`` are those of all, a tuple of
+    ``CameraView`` in their order. What nobody asks for is not rendered.
 
     Depth that is too near (0), too far (inf) or missing (NaN) becomes 0, a hole.
+
+    Args:
+        cameras: the intrinsics by the cameras' names, the pipeline's own first.
 
     Raises:
         InputError: an image's size differs from that of the intrinsics (an image that has not
             arrived yet is 0×0).
     """
 
-    def __init__(self, intrinsics: Intrinsics):
+    def __init__(self, cameras: Mapping[str, Intrinsics]):
         super().__init__()
-        self._intrinsics = intrinsics
-        self._rgb = self.DeclareAbstractInputPort("rgb_image", Value(ImageRgba8U()))
-        self._depth = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
-        self._X_WC = self.DeclareAbstractInputPort("X_WC", Value(RigidTransform()))
-        self.DeclareAbstractOutputPort(
+        self._cameras = dict(cameras)
+        self._ports = {name: self._declare_inputs(name) for name in self._cameras}
+        tickets = [{port.ticket() for port in ports} for ports in self._ports.values()]
+        self._view = self.DeclareAbstractOutputPort(
             "view",
             alloc=lambda: Value(View.empty()),
             calc=self._CalcView,
-            prerequisites_of_calc={port.ticket() for port in (self._rgb, self._depth, self._X_WC)},
+            prerequisites_of_calc=tickets[0],
+        )
+        self.DeclareAbstractOutputPort(
+            "views",
+            alloc=lambda: Value(()),
+            calc=self._CalcViews,
+            prerequisites_of_calc=set().union(*tickets),
+        )
+
+    def _declare_inputs(self, camera: str) -> tuple[InputPort, InputPort, InputPort]:
+        return (
+            self.DeclareAbstractInputPort(f"{camera}.rgb_image", Value(ImageRgba8U())),
+            self.DeclareAbstractInputPort(f"{camera}.depth_image", Value(ImageDepth32F())),
+            self.DeclareAbstractInputPort(f"{camera}.X_WC", Value(RigidTransform())),
         )
 
     def _CalcView(self, context: Context, output: Value) -> None:
-        rgba = self._rgb.Eval(context).data
-        depth = self._depth.Eval(context).data[..., 0]
-        for name, image in (("colour", rgba), ("depth", depth)):
-            self._check_size(name, image.shape)
+        output.set_value(self._view_of(next(iter(self._cameras)), context))
+
+    def _CalcViews(self, context: Context, output: Value) -> None:
+        own, *others = self._cameras
+        views = [CameraView(own, self._view.Eval(context))]
+        views += [CameraView(name, self._view_of(name, context)) for name in others]
+        output.set_value(tuple(views))
+
+    def _view_of(self, camera: str, context: Context) -> View:
+        rgb_port, depth_port, X_WC_port = self._ports[camera]
+        rgba = rgb_port.Eval(context).data
+        depth = depth_port.Eval(context).data[..., 0]
+        for kind, image in (("colour", rgba), ("depth", depth)):
+            self._check_size(camera, kind, image.shape)
         # np.where and the change of layout both copy: the images belong to the station.
-        output.set_value(
-            View(
-                rgb=np.ascontiguousarray(rgba[..., :3]).copy(),
-                depth=np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32),
-                intrinsics=self._intrinsics,
-                X_WC=self._X_WC.Eval(context).GetAsMatrix4(),
-            )
+        return View(
+            rgb=np.ascontiguousarray(rgba[..., :3]).copy(),
+            depth=np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32),
+            intrinsics=self._cameras[camera],
+            X_WC=X_WC_port.Eval(context).GetAsMatrix4(),
         )
 
-    def _check_size(self, name: str, shape: tuple[int, ...]) -> None:
-        expected = (self._intrinsics.height, self._intrinsics.width)
+    def _check_size(self, camera: str, kind: str, shape: tuple[int, ...]) -> None:
+        intrinsics = self._cameras[camera]
+        expected = (intrinsics.height, intrinsics.width)
         if shape[:2] != expected:
             raise InputError(
-                f"the {name} image is {shape[1]}×{shape[0]} pixels, but the camera is set up for "
-                f"{expected[1]}×{expected[0]}: make the camera's width and height agree with its "
-                "intrinsics (0×0 means that no image has arrived yet)"
+                f"{camera}: the {kind} image is {shape[1]}×{shape[0]} pixels, but the camera is "
+                f"set up for {expected[1]}×{expected[0]}: make the camera's width and height agree "
+                "with its intrinsics (0×0 means that no image has arrived yet)"
             )
 
 

@@ -67,7 +67,7 @@ class SceneCloud(LeafSystem):
         output_ports:
         - cloud
 
-    ``panda.position_measured`` is there only when ``robot_spheres`` is: it places the robot, whose
+    With ``fuse`` it reads ``views``, of all cameras, in place of ``view``. ``panda.position_measured`` is there only when ``robot_spheres`` is: it places the robot, whose
     own points are no things.
 
     Args:
@@ -90,8 +90,11 @@ class SceneCloud(LeafSystem):
         self._config = config
         self._workspace = workspace
         self._robot_spheres = robot_spheres
-        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
-        ports = [self._view]
+        if config.fuse:
+            self._images = self.DeclareAbstractInputPort("views", Value(()))
+        else:
+            self._images = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        ports = [self._images]
         if robot_spheres is not None:
             self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
             ports.append(self._position)
@@ -106,8 +109,9 @@ class SceneCloud(LeafSystem):
         robot = None
         if self._robot_spheres is not None:
             robot = self._robot_spheres(self._position.Eval(context))
-        view = self._view.Eval(context)
-        output.set_value(scene_cloud([view], self._workspace, self._config, robot))
+        images = self._images.Eval(context)
+        views = [image.view for image in images] if self._config.fuse else [images]
+        output.set_value(scene_cloud(views, self._workspace, self._config, robot))
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,21 @@ from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
 from tog_drake.object_parts import ObjectParts, labels_file, load_parts, unlabelled
-from tog_drake.pipeline import Decision, GraspPipeline, GroundTruth, connect_to_station, decide
+from tog_drake.pipeline import (
+    Decision,
+    GraspPipeline,
+    GroundTruth,
+    connect_to_station,
+    decide,
+    used_cameras,
+)
 from tog_drake.planning_model import MakePlanningModel, PlanningModel
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
 from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
 from tog_drake.selectors.oracle import Oracle
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
 from tog_drake.stations.simulation import SimulationStation
-from tog_drake.values import Exchange, Grasps
+from tog_drake.values import Exchange, Grasps, Intrinsics
 from tog_drake.visualization import draw_decision, replay_html
 from tog_drake.vlm_record import exchanges_of
 
@@ -103,13 +110,8 @@ def build_world(
     objects = _objects_of_tasks(scenario, target)
     target = _find_target(objects, target, task)
     _check_target(scenario, objects, target)
-    camera = scenario.pipeline.camera
-    cameras = camera_configs(scenario)
-    if camera not in cameras:
-        raise InputError(
-            f"pipeline.camera: the scenario has no camera {camera!r}; valid: {', '.join(cameras)}"
-        )
-    color, _ = cameras[camera].MakeCameras()
+    cameras = _intrinsics(scenario)
+    used_cameras(scenario.pipeline, cameras)  # hears what is wrong before anything is built
     try:
         station = SimulationStation(scenario, meshcat)
         planning_model = MakePlanningModel(
@@ -122,7 +124,7 @@ def build_world(
     labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
     pipeline = GraspPipeline(
         scenario.pipeline,
-        intrinsics=rendered_intrinsics(color.core().intrinsics()),
+        cameras=cameras,
         planning_model=planning_model,
         seed=scenario.random_seed,
         ground_truth=GroundTruth(labels, target),
@@ -130,10 +132,16 @@ def build_world(
     builder = DiagramBuilder()
     builder.AddSystem(station)
     builder.AddSystem(pipeline)
-    connect_to_station(builder, station, pipeline, camera)
+    connect_to_station(builder, station, pipeline)
     diagram = builder.Build()
     diagram.set_name("tog_drake")
     return World(diagram, station, pipeline, planning_model, labels, target)
+
+
+def _intrinsics(scenario: Scenario) -> dict[str, Intrinsics]:
+    """The pinhole models of the images that the scenario's cameras deliver."""
+    colors = {name: c.MakeCameras()[0] for name, c in camera_configs(scenario).items()}
+    return {name: rendered_intrinsics(c.core().intrinsics()) for name, c in colors.items()}
 
 
 def run_episode(

@@ -39,6 +39,27 @@ class NoFeasibleGrasp(NoGrasp):
         self.rejected = rejected
 
 
+class NoView(EpisodeError):
+    """Who was to say which view is the least ambiguous did not.
+
+    Where a model or a server was asked, ``status`` says what became of it and ``exchanges`` what
+    was said.
+    """
+
+    outcome = "no_view"
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        status: "AnswerStatus | None" = None,
+        exchanges: "tuple[Exchange, ...]" = (),
+    ):
+        super().__init__(message)
+        self.status = status
+        self.exchanges = exchanges
+
+
 class NoProposal(EpisodeError):
     """Who was to propose grasps elsewhere did not; ``status`` says what became of the question."""
 

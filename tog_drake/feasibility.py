@@ -311,10 +311,18 @@ class FeasibilityFilter(LeafSystem):
         - feasible_grasps
 
     ``feasible_grasps`` is computed once per change of an input.
+
+    Args:
+        fused: whether the cloud is of all cameras; then ``views`` takes the place of ``view``.
     """
 
     def __init__(
-        self, config: FeasibilityConfig, workspace: Workspace, planning_model: PlanningModel
+        self,
+        config: FeasibilityConfig,
+        workspace: Workspace,
+        planning_model: PlanningModel,
+        *,
+        fused: bool = False,
     ):
         super().__init__()
         if (
@@ -332,8 +340,12 @@ class FeasibilityFilter(LeafSystem):
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._position = self.DeclareVectorInputPort("panda.position_measured", 7)
         self._failed = self.DeclareAbstractInputPort("failed_grasps", Value(Grasps.empty()))
-        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
-        ports = (self._grasps, self._cloud, self._view, self._position, self._failed)
+        self._fused = fused
+        if fused:
+            self._images = self.DeclareAbstractInputPort("views", Value(()))
+        else:
+            self._images = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        ports = (self._grasps, self._cloud, self._images, self._position, self._failed)
         none = FeasibleGrasps(**vars(Grasps.empty()))
         self.DeclareAbstractOutputPort(
             "feasible_grasps",
@@ -343,6 +355,7 @@ class FeasibilityFilter(LeafSystem):
         )
 
     def _CalcFeasibleGrasps(self, context: Context, output: Value) -> None:
+        images = self._images.Eval(context)
         output.set_value(
             feasible_grasps(
                 self._grasps.Eval(context),
@@ -352,6 +365,6 @@ class FeasibilityFilter(LeafSystem):
                 self._config,
                 table_height=self._table_height,
                 failed=self._failed.Eval(context),
-                views=[self._view.Eval(context)],
+                views=[image.view for image in images] if self._fused else [images],
             )
         )

@@ -1,7 +1,7 @@
 """The stages, connected: from one look to a motion."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,15 +35,19 @@ from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 from tog_drake.trajectory import TrajectoryConfig, TrajectoryOptimizer
 from tog_drake.values import (
     Array,
+    CameraView,
     Candidates,
     Choice,
     FeasibleGrasps,
     GraspMotion,
     Grasps,
     Intrinsics,
+    SelectedView,
     View,
     Workspace,
 )
+from tog_drake.view_scorers.coverage import Coverage, CoverageScorer
+from tog_drake.view_selection import Hand, HandScorer, ViewScorer, ViewSelector
 
 SelectorConfig = Geometric | TopScore | Random | Oracle | Vlm
 # How the command spells them.
@@ -61,6 +65,8 @@ PROPOSERS: dict[str, type[ProposerConfig]] = {
     "file": File,
     "remote": Remote,
 }
+ScorerConfig = Hand | Coverage
+SCORERS: dict[str, type[ScorerConfig]] = {"hand": Hand, "coverage": Coverage}
 
 _TABLE_TOLERANCE = 0.002  # [m]
 
@@ -80,10 +86,19 @@ STAGES = (
     Stage("grasps", "propose", "propose grasps"),
     Stage("feasible_grasps", "filter", "check feasibility"),
     Stage("candidates", "candidates", "pick candidates"),
+    Stage("selected_view", "choose_view", "choose the view"),
     Stage("choice", "select", "choose for the task"),
     Stage("motion", "plan", "plan the motion"),
 )
 """In the order of the data."""
+
+
+@dataclass
+class ViewSelectionConfig:
+    """In which of the cameras' views the grasps are shown to whoever chooses."""
+
+    scorer: ScorerConfig = field(default_factory=Hand)
+    target: str | None = None  # the object's words, such as "mug"; else the task names it
 
 
 @dataclass
@@ -96,6 +111,7 @@ class PipelineConfig:
     proposer: ProposerConfig = field(default_factory=Antipodal)
     feasibility: FeasibilityConfig = field(default_factory=FeasibilityConfig)
     candidates: CandidatesConfig = field(default_factory=CandidatesConfig)
+    view_selection: ViewSelectionConfig = field(default_factory=ViewSelectionConfig)
     selector: SelectorConfig = field(default_factory=Geometric)
     trajectory: TrajectoryConfig = field(default_factory=TrajectoryConfig)
     executor: ExecutorConfig = field(default_factory=ExecutorConfig)
@@ -117,52 +133,59 @@ class GraspPipeline(Diagram):
 
         name: GraspPipeline
         input_ports:
-        - rgb_image
-        - depth_image
-        - X_WC
+        - "{camera}.rgb_image"
+        - "{camera}.depth_image"
+        - "{camera}.X_WC"
         - panda.position_measured
         - hand.state_measured
         - task
         output_ports:
         - view
+        - views
         - cloud
         - grasps
         - feasible_grasps
         - candidates
+        - selected_view
         - choice
         - motion
         - panda.position
         - hand.position
         - failed_grasps
 
-    Every stage's value is exported, to be inspected and timed. With ``!Oracle`` as selector there
-    is one more input, ``cheat.query_object``, which only a simulation can feed.
+    Every stage's value is exported, to be inspected and timed. It reads its own camera, and the
+    others only where their views are compared or fused. With ``!Oracle`` as selector there is one
+    more input, ``cheat.query_object``, which only a simulation can feed.
     """
 
     def __init__(
         self,
         config: PipelineConfig,
         *,
-        intrinsics: Intrinsics,
+        cameras: Mapping[str, Intrinsics],
         planning_model: PlanningModel,
         seed: int,
         ground_truth: GroundTruth | None = None,
     ):
         super().__init__()
+        self.cameras = used_cameras(config, cameras)
         _check_workspace(config.workspace)
         _check_table(config.workspace, planning_model)
         self.executor = GraspExecutor(config.executor, retries=config.retries)
         self.proposer = make_proposer(config, seed)
         stages: dict[str, LeafSystem] = {
-            "camera": Camera(intrinsics),
+            "camera": Camera({name: cameras[name] for name in self.cameras}),
             "cloud": SceneCloud(
                 config.cloud,
                 config.workspace,
                 robot_spheres=lambda q: _spheres(planning_model, q),
             ),
             "proposer": GraspProposer(self.proposer),
-            "feasibility": FeasibilityFilter(config.feasibility, config.workspace, planning_model),
+            "feasibility": FeasibilityFilter(
+                config.feasibility, config.workspace, planning_model, fused=config.cloud.fuse
+            ),
             "candidates": CandidatePicker(config.candidates, seed=seed),
+            "view_selector": ViewSelector(make_view_scorer(config), config.view_selection.target),
             "selector": _make_selector_system(config, seed, ground_truth),
             "trajectory": TrajectoryOptimizer(
                 config.trajectory, planning_model, seed=seed, with_retreat=config.retries > 0
@@ -262,6 +285,35 @@ def make_proposer(config: PipelineConfig, seed: int) -> Proposer:
             return PluginProposer(config.proposer, config.workspace, seed)
 
 
+def used_cameras(config: PipelineConfig, cameras: Collection[str]) -> tuple[str, ...]:
+    """Returns the names of the cameras that the pipeline reads, its own first.
+
+    Raises:
+        InputError: if its own is not among those that there are.
+    """
+    own = config.camera
+    if own not in cameras:
+        raise InputError(
+            f"pipeline.camera: the scenario has no camera {own!r}; valid: {', '.join(cameras)}"
+        )
+    if isinstance(config.view_selection.scorer, Hand) and not config.cloud.fuse:
+        return (own,)
+    return (own, *(name for name in cameras if name != own))
+
+
+def make_view_scorer(config: PipelineConfig) -> ViewScorer:
+    """Returns who tells which view shows the target best.
+
+    Raises:
+        InputError: if a setting of it is out of bounds, or what it needs is not there.
+    """
+    match config.view_selection.scorer:
+        case Hand():
+            return HandScorer()
+        case Coverage():
+            return CoverageScorer(config.workspace)
+
+
 def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:
     """Returns the selector that the scenario asks for.
 
@@ -307,13 +359,10 @@ def _spheres(planning_model: PlanningModel, q: Array) -> tuple[Array, Array]:
     return centres[0], radii
 
 
-def connect_to_station(
-    builder: DiagramBuilder, station: Diagram, pipeline: GraspPipeline, camera: str
-) -> None:
+def connect_to_station(builder: DiagramBuilder, station: Diagram, pipeline: GraspPipeline) -> None:
     """Connects a pipeline to a station, simulated or real: the names of their ports agree.
 
-    The station's ``{camera}.rgb_image`` feeds the pipeline's ``rgb_image``, and so on; ``task`` is
-    exported from the diagram that is being built.
+    ``task`` is exported from the diagram that is being built.
 
     Raises:
         InputError: if the station lacks a port that the pipeline needs.
@@ -324,15 +373,14 @@ def connect_to_station(
         if name == "task":
             builder.ExportInput(port, "task")
             continue
-        source = f"{camera}.{name}" if name in ("rgb_image", "depth_image", "X_WC") else name
-        if not station.HasOutputPort(source):
+        if not station.HasOutputPort(name):
             raise InputError(
-                f"the {station.get_name()} has no output {source}; it has "
+                f"the {station.get_name()} has no output {name}; it has "
                 + ", ".join(
                     station.get_output_port(k).get_name() for k in range(station.num_output_ports())
                 )
             )
-        builder.Connect(station.GetOutputPort(source), port)
+        builder.Connect(station.GetOutputPort(name), port)
     for name in ("panda.position", "hand.position"):
         builder.Connect(pipeline.GetOutputPort(name), station.GetInputPort(name))
 
@@ -357,11 +405,18 @@ class Decision:
     grasps: Grasps | None = None
     feasible_grasps: FeasibleGrasps | None = None
     candidates: Candidates | None = None
+    selected_view: SelectedView | None = None
     choice: Choice | None = None
     motion: GraspMotion | None = None
     error: EpisodeError | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    views: tuple[CameraView, ...] = ()  # of all cameras, where they were compared
     weights: Mapping[str, Any] | None = None  # those that the proposer works with, see weights_of
+
+    @property
+    def shown(self) -> View | None:
+        """What whoever chooses was shown; the pipeline's own view as long as none is selected."""
+        return self.view if self.selected_view is None else self.selected_view.view
 
     @property
     def look(self) -> Look | None:
@@ -391,6 +446,8 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
     """
     mine = pipeline.GetMyContextFromRoot(context)
     decision = Decision()
+    if look is not None and len(pipeline.cameras) == 1:
+        pipeline.fix(context, "views", (CameraView(pipeline.cameras[0], look.view),))
     for stage in STAGES:
         if look is not None and _is_of_look(stage):
             setattr(decision, stage.port, getattr(look, stage.port))
@@ -405,5 +462,7 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
             break
         finally:
             decision.seconds[stage.key] = time.perf_counter() - start
+    if decision.selected_view is not None and len(pipeline.cameras) > 1:
+        decision.views = pipeline.GetOutputPort("views").Eval(mine)
     decision.weights = weights_of(pipeline.proposer)
     return decision

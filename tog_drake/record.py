@@ -102,6 +102,7 @@ OUTCOMES = {
     "wrong_object": "the hand closed on another object, or lifted it",
     "no_grasp": "nothing to grasp, or nothing that the arm can carry out",
     "no_proposal": "the server that proposes grasps was not reached, or its answer was no use",
+    "no_view": "who was to say which view is the least ambiguous did not",
     "no_choice": "the selector could not decide",
     "no_plan": "no motion to the chosen grasp passed the checks",
     "collision": "the arm hit something it knew of, or no longer followed its command",

@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.panda import grasps_apart
 from tog_drake.pinhole import project
-from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, View
+from tog_drake.values import Array, Candidates, Choice, ChoiceStatus, SelectedView, View
 
 ALTERNATIVES = 5  # of a choice, at most
 # Where the arm finds no way to a grasp, it finds none to one that is hardly different.
@@ -95,7 +95,7 @@ class GraspSelector(LeafSystem):
 
         name: GraspSelector
         input_ports:
-        - view
+        - selected_view
         - cloud
         - candidates
         - task
@@ -108,7 +108,7 @@ class GraspSelector(LeafSystem):
     def __init__(self, selector: Selector):
         super().__init__()
         self._selector = selector
-        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        self._view = self.DeclareAbstractInputPort("selected_view", Value(SelectedView.none()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._candidates = self.DeclareAbstractInputPort("candidates", Value(Candidates.empty()))
         self._task = self.DeclareAbstractInputPort("task", Value(""))
@@ -123,7 +123,7 @@ class GraspSelector(LeafSystem):
     def _CalcChoice(self, context: Context, output: Value) -> None:
         output.set_value(
             self._selector.select(
-                view=self._view.Eval(context),
+                view=self._view.Eval(context).view,
                 cloud=self._cloud.Eval(context),
                 candidates=self._candidates.Eval(context),
                 task=self._task.Eval(context),

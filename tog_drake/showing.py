@@ -28,8 +28,8 @@ def report_of(episode: Episode) -> EpisodeReport:
     """Returns what the report shows of an episode."""
     decision = episode.decision
     picture = None
-    if decision.view is not None and decision.candidates is not None:
-        picture = decision_image(decision.view, decision.candidates, decision.choice)
+    if decision.shown is not None and decision.candidates is not None:
+        picture = decision_image(decision.shown, decision.candidates, decision.choice)
     return EpisodeReport(
         record=episode.record,
         view=decision.view,

@@ -47,6 +47,14 @@ class View:
         )
 
 
+@dataclass(frozen=True)
+class CameraView:
+    """A view, and which camera took it."""
+
+    camera: str  # as in the scenario, such as "wrist"; a later look of it is "wrist#2"
+    view: View
+
+
 @dataclass
 class Workspace:
     """The part of the world in which things are looked for and grasped, in W (a config)."""
@@ -137,6 +145,9 @@ AnswerStatus = Literal[
 ]
 """What became of a question to a model."""
 
+ViewStatus = Literal["ok", "not_found"]
+"""not_found: no view shows the target, so that the pipeline's own camera is shown."""
+
 ChoiceStatus = Literal[AnswerStatus, "unresolved", "part_not_found", "no_grasp_on_part"]
 """unresolved: the task's words are not understood, or say neither part nor purpose."""
 
@@ -162,6 +173,23 @@ class Exchange:
     replayed: str | None = field(default=None, compare=False)
     """The cassette that had the answer; None: it was asked for now. Where an answer comes from is
     no part of the decision: a replay equals what was recorded."""
+
+
+@dataclass(frozen=True)
+class SelectedView:
+    """The view in which the grasps are shown, and why that one."""
+
+    camera: str  # that took it
+    view: View
+    scores: dict[str, float]  # camera -> score, one for each view; higher is less ambiguous
+    reason: str  # for a person
+    status: ViewStatus = "ok"
+    exchanges: tuple[Exchange, ...] = ()  # the questions to a model and its answers, in order
+
+    @staticmethod
+    def none() -> "SelectedView":
+        """No view: the model value of ports."""
+        return SelectedView(camera="", view=View.empty(), scores={}, reason="")
 
 
 @dataclass(frozen=True)

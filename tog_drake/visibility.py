@@ -48,6 +48,18 @@ def _hidden(p_W: Array, views: Sequence[View]) -> NDArray[np.bool_]:
     return np.asarray(behind > _BEHIND)
 
 
+def visible(p_W: Array, view: View) -> NDArray[np.bool_]:
+    """Returns which points (N, 3) [m] on surfaces the view shows, (N,).
+
+    They lie in the image and not behind what its depth shows there. Where that has a hole, they
+    count as seen: colour has none.
+    """
+    size = [view.intrinsics.width, view.intrinsics.height]
+    pixel = project(p_W, view.intrinsics, view.X_WC)
+    inside = np.all((pixel >= -0.5) & (pixel < np.array(size) - 0.5), axis=1)  # False where NaN
+    return np.asarray(inside & ~(_behind(p_W, view) > _BEHIND))
+
+
 def _behind(p_W: Array, view: View) -> Array:
     """How far each point (N, 3) lies behind what is seen in its pixel, (N,) [m]; NaN if unknown."""
     pixel = np.rint(project(p_W, view.intrinsics, view.X_WC))

@@ -125,11 +125,11 @@ def _look_at(cell: Cell, options: SelectorOptions, cassette: Path) -> _Looked:
         world = build_world(scenario, target=cell.object or None, task=cell.task)
         simulator = look(world, scenario, cell.task)
         context = world.pipeline.GetMyContextFromRoot(simulator.get_context())
-        view, cloud, candidates = (
+        selected, cloud, candidates = (
             world.pipeline.GetOutputPort(port).Eval(context)
-            for port in ("view", "cloud", "candidates")
+            for port in ("selected_view", "cloud", "candidates")
         )
-        selector.select(view, cloud, candidates, cell.task)
+        selector.select(selected.view, cloud, candidates, cell.task)
     except QuestionPending as pending:
         return _Looked(requests=pending.requests)
     except EpisodeError as error:

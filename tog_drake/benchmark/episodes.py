@@ -107,8 +107,8 @@ def files_of(episode: Episode) -> dict[str, bytes]:
     ``candidates`` (K,); the row ``chosen``, −1: none), ``replay.html.gz`` plays the episode.
     """
     decision, files = episode.decision, {}
-    if decision.view is not None:
-        image = decision_image(decision.view, decision.candidates, decision.choice)
+    if decision.shown is not None:
+        image = decision_image(decision.shown, decision.candidates, decision.choice)
         files["view.jpg"] = encode_jpg(image)
     if (pictures := grasp_pictures(decision)) is not None:
         files[PICTURE] = encode_jpg(pictures[1])

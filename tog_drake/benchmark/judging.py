@@ -87,7 +87,7 @@ def grasp_pictures(decision: Decision) -> tuple[Image, Image] | None:
 
     Where there is a motion it is that one's, which may be an alternative to the choice.
     """
-    view, cloud, candidates = decision.view, decision.cloud, decision.candidates
+    view, cloud, candidates = decision.shown, decision.cloud, decision.candidates
     if view is None or cloud is None or candidates is None or decision.choice is None:
         return None
     row = decision.choice.index if decision.motion is None else decision.motion.grasp_index

@@ -18,7 +18,15 @@ from tog_drake.compliance import PartLabels
 from tog_drake.errors import NoChoice, NoGrasp
 from tog_drake.labelled_surface import Shares
 from tog_drake.selector import choose
-from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, Grasps, View
+from tog_drake.values import (
+    Array,
+    Candidates,
+    Choice,
+    FeasibleGrasps,
+    Grasps,
+    SelectedView,
+    View,
+)
 
 ORACLE_NOTE = "reads simulated part labels: an upper bound, not a method"
 _SURE = 0.99  # share of the closing region on allowed parts from which the score decides ...
@@ -42,7 +50,7 @@ class OracleSelector(LeafSystem):
 
         name: OracleSelector
         input_ports:
-        - view
+        - selected_view
         - cloud
         - grasps
         - candidates
@@ -56,7 +64,7 @@ class OracleSelector(LeafSystem):
         super().__init__()
         self._labels = labels
         self._target = target
-        self._view = self.DeclareAbstractInputPort("view", Value(View.empty()))
+        self._view = self.DeclareAbstractInputPort("selected_view", Value(SelectedView.none()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._grasps = self.DeclareAbstractInputPort("grasps", Value(Grasps.empty()))
         self._candidates = self.DeclareAbstractInputPort("candidates", Value(Candidates.empty()))
@@ -77,7 +85,7 @@ class OracleSelector(LeafSystem):
             choose_by_labels(
                 self._labels,
                 self._target,
-                self._view.Eval(context),
+                self._view.Eval(context).view,
                 self._cloud.Eval(context),
                 self._grasps.Eval(context),
                 self._candidates.Eval(context),
