@@ -67,7 +67,8 @@ class SceneCloud(LeafSystem):
         output_ports:
         - cloud
 
-    With ``fuse`` it reads ``views``, of all cameras, in place of ``view``. ``panda.position_measured`` is there only when ``robot_spheres`` is: it places the robot, whose
+    With ``fuse`` it reads ``views``, of all cameras, in place of ``view``.
+    ``panda.position_measured`` is there only when ``robot_spheres`` is: it places the robot, whose
     own points are no things.
 
     Args:

@@ -14,7 +14,7 @@ from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
 from tog_drake.cloud import CloudConfig, scene_cloud
-from tog_drake.errors import NoChoice
+from tog_drake.errors import NoChoice, NoGrasp
 from tog_drake.pinhole import project
 from tog_drake.points import clusters, neighbors
 from tog_drake.selectors.targets import find_target
@@ -101,7 +101,10 @@ class CoverageScorer:
         thing is nearer.
         """
         with_depth = [v.view for v in views if np.any(v.view.depth > 0)]
-        fused = scene_cloud(with_depth, self._workspace, self._config)
+        try:
+            fused = scene_cloud(with_depth, self._workspace, self._config)
+        except NoGrasp:  # what there is, is too small for this spacing
+            return points[mask]
         pool = np.asarray(fused.xyzs().T, np.float64)
         near = cKDTree(points[mask]).query(pool)[0]
         if not mask.all():
