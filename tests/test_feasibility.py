@@ -171,6 +171,21 @@ def test_a_finger_behind_the_one_face_that_was_seen_of_something_is_hidden():
     np.testing.assert_array_equal(kept.width, [0.06])
 
 
+def test_a_place_is_hidden_only_if_no_view_sees_it():
+    block = ((0.45, -0.03, 0.0), (0.55, 0.03, 0.1), RED)
+    front, behind = (look([TABLE, block], eye=(x, 0.0, 0.15)) for x in (0.1, 0.9))
+    finger = pose([0.60, 0.0, 0.05], closing=(1.0, 0.0, 0.0))[None]  # beyond the block
+    opening = np.array([0.03])
+    assert hidden_share(finger, opening, [front]) > 0.5
+    assert hidden_share(finger, opening, [behind]) == 0
+    assert hidden_share(finger, opening, [front, behind]) == 0
+    # In a view that does not show the place, nothing is learnt of it.
+    away = look([TABLE, block], eye=(0.6, 0.0, 0.3), target=(0.6, 0.8, 0.0))
+    assert hidden_share(finger, opening, [away]) == 0
+    assert hidden_share(finger, opening, [front, away]) == hidden_share(finger, opening, [front])
+    assert hidden_share(finger, opening, []) == 0
+
+
 def test_an_object_wider_than_the_hand_opens_is_a_hand_collision():
     grasp = make_grasps(pose([0.5, 0.0, 0.05]), width=MAX_OPENING + 0.01)
     assert only_reason(grasp) == "hand_collision"

@@ -1,9 +1,4 @@
-"""From views to the cloud of what stands on the table: cropped, thinned, with normals.
-
-Several views are fused: each becomes points with normals by itself, as if there were no other, and
-those of a cube that face the same way become one. The two sides of a thin wall, of which each
-camera saw one, stay two.
-"""
+"""From views to the cloud of what stands on the table: cropped, thinned, with normals."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +11,10 @@ from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.denoising import Image, denoised, inverse_depth_noise
 from tog_drake.errors import InputError, NoGrasp
+from tog_drake.fusion import EXACT, Surface, fused
 from tog_drake.pinhole import unproject_pixels
 from tog_drake.points import (
     clusters,
-    facing_numbers,
     group_means,
     neighbors,
     surface_normals,
@@ -28,7 +23,6 @@ from tog_drake.points import (
 from tog_drake.values import Array, View, Workspace
 
 _NEAR_TABLE = 0.02  # [m] points so close to the table's height tell how noisy it is
-_EXACT = 2e-4  # [m] a table whose points scatter less is seen without noise
 _BINS = 6  # into which they are sorted by depth
 _MIN_TABLE = 100  # points a bin needs
 
@@ -115,17 +109,6 @@ class SceneCloud(LeafSystem):
         output.set_value(scene_cloud(views, self._workspace, self._config, robot))
 
 
-@dataclass(frozen=True)
-class _Surface:
-    """N points of the things, and maybe specks and bumps of the table."""
-
-    p_W: Array  # (N, 3) [m]
-    rgb: Array  # (N, 3) 0 to 255
-    noise: Array  # (N,) [m] standard deviation of a table's points at that distance
-    normal: Array  # (N, 3) unit, towards the camera
-    pixels: int  # that showed something there
-
-
 def scene_cloud(
     views: Sequence[View], workspace: Workspace, config: CloudConfig, robot: Spheres | None = None
 ) -> PointCloud:
@@ -146,7 +129,7 @@ def scene_cloud(
         NoGrasp: nothing is left.
     """
     seen = [_seen(view, workspace, config, robot) for view in views]
-    surface = seen[0] if len(seen) == 1 else _fused(seen, config.voxel)
+    surface = seen[0] if len(seen) == 1 else fused(seen, config.voxel)
     keep = _of_things(surface, workspace, config)
     if not keep.any():
         raise NoGrasp(
@@ -160,7 +143,7 @@ def scene_cloud(
     return _point_cloud(surface.p_W[keep], surface.rgb[keep], surface.normal[keep])
 
 
-def _seen(view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None) -> _Surface:
+def _seen(view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None) -> Surface:
     """What one view shows."""
     if not np.any(view.depth > 0):
         raise InputError(
@@ -171,34 +154,16 @@ def _seen(view: View, workspace: Workspace, config: CloudConfig, robot: Spheres 
     pixel, noise = _standing_out(view, workspace, config)
     p_W, rgb, noise = _thinned(view, pixel, noise, config)
     if robot is not None:
-        keep = ~_inside(p_W, robot, config.robot_padding)
+        keep = ~inside(p_W, robot, config.robot_padding)
         p_W, rgb, noise = p_W[keep], rgb[keep], noise[keep]
     normal = np.zeros((0, 3))
     if len(p_W) > 0:
         neighborhood = neighbors(p_W, config.normal_neighbors)
         normal = surface_normals(p_W, neighborhood, config.max_gap, view.X_WC[:3, 3])
-    return _Surface(p_W, rgb, noise, normal, len(pixel))
+    return Surface(p_W, rgb, noise, normal, len(pixel))
 
 
-def _fused(seen: Sequence[_Surface], voxel: float) -> _Surface:
-    """One surface of several: in each cube the mean of the points that face the same way.
-
-    A point counts the more the less noisy it is, as the inverse of its variance.
-    """
-    p_W, rgb, normal = (
-        np.concatenate([getattr(surface, name) for surface in seen])
-        for name in ("p_W", "rgb", "normal")
-    )
-    noise = np.concatenate([surface.noise for surface in seen])
-    number = facing_numbers(p_W, normal, voxel)
-    weight = 1 / (noise**2 + _EXACT**2)
-    mean = group_means(number, np.column_stack([p_W, rgb, normal, noise]), weight)
-    p_W, rgb, normal, noise = mean[:, :3], mean[:, 3:6], mean[:, 6:9], mean[:, 9]
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
-    return _Surface(p_W, rgb, noise, normal, sum(surface.pixels for surface in seen))
-
-
-def _of_things(surface: _Surface, workspace: Workspace, config: CloudConfig) -> NDArray[np.bool_]:
+def _of_things(surface: Surface, workspace: Workspace, config: CloudConfig) -> NDArray[np.bool_]:
     """Which points are in no speck and no bump of the table, (N,)."""
     p_W, noise = surface.p_W, surface.noise
     if len(p_W) == 0:
@@ -224,7 +189,7 @@ def _standing_out(
     pixel, noise = pixel[above], noise[above]
     p_W = unproject_pixels(view, pixel)[:, :2]
     keep = np.all((p_W > workspace.lower[:2]) & (p_W < workspace.upper[:2]), axis=1)
-    keep &= ~_flying(view, pixel, config.max_slope)
+    keep &= ~flying(view, pixel, config.max_slope)
     return pixel[keep], noise[keep]
 
 
@@ -272,11 +237,11 @@ def _thinned(
     # Pixels on a surface of a cube's size that is seen squarely.
     distance = np.linalg.norm(p_W - view.X_WC[:3, 3], axis=1)
     full = (config.voxel * view.intrinsics.fx / distance) ** 2
-    keep = (np.bincount(number) >= config.min_fill * full) | (noise < _EXACT)
+    keep = (np.bincount(number) >= config.min_fill * full) | (noise < EXACT)
     return p_W[keep], rgb[keep], noise[keep]
 
 
-def _flying(view: View, pixel: NDArray[np.int64], max_slope: float) -> NDArray[np.bool_]:
+def flying(view: View, pixel: NDArray[np.int64], max_slope: float) -> NDArray[np.bool_]:
     """Which pixels are on a ramp between a near surface and a far one, where nothing is in truth.
 
     Depth cameras blur edges; a surface as steep as ``max_slope`` = tan(84°) they could not see.
@@ -295,7 +260,7 @@ def _flying(view: View, pixel: NDArray[np.int64], max_slope: float) -> NDArray[n
     return flying
 
 
-def _inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
+def inside(p_W: Array, spheres: Spheres, padding: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in one of the spheres, inflated by ``padding`` [m]."""
     center, radius = spheres
     # |p − c|² = |p|² − 2 p·c + |c|², as a product of matrices

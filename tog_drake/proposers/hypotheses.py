@@ -6,14 +6,7 @@ import numpy as np
 from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
-from tog_drake.points import (
-    Rows,
-    clusters,
-    facing_numbers,
-    group_means,
-    neighbors,
-    voxel_numbers,
-)
+from tog_drake.points import Rows, clusters, group_means, neighbors, voxel_numbers
 from tog_drake.values import Array
 
 FOOTPRINT = 0.004  # [m] squares of the table that a thing is above
@@ -45,7 +38,7 @@ def thinned_surface(cloud: PointCloud, voxel: float) -> Surface:
     point, normal = cloud.xyzs().T.astype(np.float64), cloud.normals().T.astype(np.float64)
     order = np.lexsort(point.T)  # sums depend on the order of what is summed
     point, normal = point[order], normal[order]
-    number = facing_numbers(point, normal, voxel)
+    number = voxel_numbers(point, voxel)
     point, normal = group_means(number, point), group_means(number, normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-9)[:, None]
     thing = clusters(neighbors(point, 12), 2.5 * voxel)
