@@ -37,8 +37,9 @@ def test_everything_that_the_tests_need_is_found_with_its_version(checks):
 
 def test_optional_extras_are_listed_with_the_command_that_installs_them(checks, monkeypatch):
     assert not checks["weights of contact-graspnet"].required
+    assert not checks["weights of view scorer detector"].required
     extras = [name for name in checks if "extra" in name]
-    assert [name.split()[1] for name in extras] == ["[cgn]", "[meshcat]"]
+    assert [name.split()[1] for name in extras] == ["[cgn]", "[views]", "[meshcat]"]
     monkeypatch.setattr(importlib, "import_module", _not_there)
     missing = doctor._check("extra", lambda: doctor._extra("torch", "cgn"), required=False)
     assert not missing.ok

@@ -9,7 +9,7 @@ import pytest
 import tog_drake
 
 HEAVY = (
-    *("torch", "cv2", "requests"),
+    *("torch", "transformers", "huggingface_hub", "cv2", "requests"),
     *("trimesh", "fast_simplification", "coacd", "PIL", "platformdirs"),
 )
 WITH_TORCH = [

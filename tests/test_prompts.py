@@ -17,6 +17,7 @@ from tog_drake.selectors.vlm.question import Options, Points
 
 VALUES = {
     "task": "hand me the hammer",
+    "target": "red mug",
     "labels": ("1", "2", "3"),
     "count": 3,
     "round": 1,
@@ -39,6 +40,7 @@ HASHES = {
     "judge/1": "96c1578ec65111b9",
     "pivot/1": "871388c2a44f41c2",
     "repair/1": "f98a9ab7570486d2",
+    "view/1": "9094662dd68702f9",
     "answer/1": "c0483dd76b0c1803",
 }
 

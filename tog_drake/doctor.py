@@ -15,7 +15,11 @@ from tog_drake.weights import MODELS, stored
 
 _LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
 # extra -> (module, what it is for)
-_EXTRAS = {"cgn": ("torch", "Contact-GraspNet"), "meshcat": ("meshcat", "meshcat-python")}
+_EXTRAS = {
+    "cgn": ("torch", "Contact-GraspNet"),
+    "views": ("transformers", "view scorer detector"),
+    "meshcat": ("meshcat", "meshcat-python"),
+}
 # provider -> environment variables that its key is looked for in, in that order
 _KEYS = {
     "OpenAI": ("OPENAI_API_KEY",),
@@ -61,6 +65,7 @@ def run_checks() -> list[Check]:
         )
     for name in MODELS:
         checks.append(_check(f"weights of {name}", partial(_weights, name), required=False))
+    checks.append(_check("weights of view scorer detector", _detector_weights, required=False))
     return checks
 
 
@@ -146,6 +151,13 @@ def _weights(name: str) -> str:
     if found is None:
         raise _ProblemError(f"get them with: tog weights fetch {name} --accept-licence")
     return f"{found.note}, {found.file}"
+
+
+def _detector_weights() -> str:
+    from tog_drake.view_scorers.detector import MODEL, find_weights, require_transformers
+
+    require_transformers()
+    return f"{MODEL}, {find_weights(MODEL, None)}"
 
 
 def _key(variables: Sequence[str]) -> str:

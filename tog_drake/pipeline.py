@@ -47,6 +47,10 @@ from tog_drake.values import (
     Workspace,
 )
 from tog_drake.view_scorers.coverage import Coverage, CoverageScorer
+from tog_drake.view_scorers.detector import Detector, DetectorScorer
+from tog_drake.view_scorers.remote import Remote as RemoteDetector
+from tog_drake.view_scorers.remote import RemoteScorer
+from tog_drake.view_scorers.vlm_compare import VlmCompare, VlmCompareScorer
 from tog_drake.view_selection import Hand, HandScorer, ViewScorer, ViewSelector
 
 SelectorConfig = Geometric | TopScore | Random | Oracle | Vlm
@@ -65,8 +69,14 @@ PROPOSERS: dict[str, type[ProposerConfig]] = {
     "file": File,
     "remote": Remote,
 }
-ScorerConfig = Hand | Coverage
-SCORERS: dict[str, type[ScorerConfig]] = {"hand": Hand, "coverage": Coverage}
+ScorerConfig = Hand | Coverage | Detector | RemoteDetector | VlmCompare
+SCORERS: dict[str, type[ScorerConfig]] = {
+    "hand": Hand,
+    "coverage": Coverage,
+    "detector": Detector,
+    "remote": RemoteDetector,
+    "vlm-compare": VlmCompare,
+}
 
 _TABLE_TOLERANCE = 0.002  # [m]
 
@@ -185,7 +195,9 @@ class GraspPipeline(Diagram):
                 config.feasibility, config.workspace, planning_model, fused=config.cloud.fuse
             ),
             "candidates": CandidatePicker(config.candidates, seed=seed),
-            "view_selector": ViewSelector(make_view_scorer(config), config.view_selection.target),
+            "view_selector": ViewSelector(
+                make_view_scorer(config, seed), config.view_selection.target
+            ),
             "selector": _make_selector_system(config, seed, ground_truth),
             "trajectory": TrajectoryOptimizer(
                 config.trajectory, planning_model, seed=seed, with_retreat=config.retries > 0
@@ -301,8 +313,15 @@ def used_cameras(config: PipelineConfig, cameras: Collection[str]) -> tuple[str,
     return (own, *(name for name in cameras if name != own))
 
 
-def make_view_scorer(config: PipelineConfig) -> ViewScorer:
+def make_view_scorer(
+    config: PipelineConfig, seed: int, *, export: Path | None = None
+) -> ViewScorer:
     """Returns who tells which view shows the target best.
+
+    Args:
+        config: of the pipeline.
+        seed: of everything random in the scorer.
+        export: for a model: the cassette of questions to be asked elsewhere.
 
     Raises:
         InputError: if a setting of it is out of bounds, or what it needs is not there.
@@ -312,6 +331,12 @@ def make_view_scorer(config: PipelineConfig) -> ViewScorer:
             return HandScorer()
         case Coverage():
             return CoverageScorer(config.workspace)
+        case Detector():
+            return DetectorScorer(config.view_selection.scorer)
+        case RemoteDetector():
+            return RemoteScorer(config.view_selection.scorer)
+        case VlmCompare():
+            return VlmCompareScorer(config.view_selection.scorer, seed=seed, export=export)
 
 
 def make_selector(config: PipelineConfig, seed: int, *, export: Path | None = None) -> Selector:

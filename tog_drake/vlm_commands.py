@@ -40,6 +40,7 @@ app = typer.Typer(
 
 _EXAMPLE = {  # what fills the places of a prompt when it is shown
     "task": "hand me the hammer",
+    "target": "hammer",
     "count": 3,
     "round": 1,
     "rounds": 3,
@@ -50,7 +51,7 @@ _EXAMPLE = {  # what fills the places of a prompt when it is shown
 }
 _LABELS = {"marked": ("1", "2", "3"), "paper": ("red", "green", "blue")}
 _ROLES = {"cpg": ("grasp",), "avoid": ("grasp", "avoid"), "canary": ("disc",)}  # of their points
-_SEPARATE = ("gmi", "cpmi")  # an image each: there the labels are numbers in every rendering
+_SEPARATE = ("gmi", "cpmi", "view")  # an image each: labels are numbers in every rendering
 
 
 def prompts(

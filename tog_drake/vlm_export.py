@@ -18,7 +18,7 @@ from tog_drake.benchmark.processes import in_order, in_processes
 from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.options import SelectorOptions, put_k
-from tog_drake.pipeline import make_selector
+from tog_drake.pipeline import make_selector, make_view_scorer
 from tog_drake.scenario import Scenario
 from tog_drake.selector import Selector
 from tog_drake.selectors.geometric import Geometric
@@ -26,6 +26,9 @@ from tog_drake.selectors.vlm.batch import Export, custom_id, how_to_send
 from tog_drake.selectors.vlm.batch_answers import read_answers
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.request import QuestionPending, Request
+from tog_drake.view_scorers.coverage import Coverage
+from tog_drake.view_scorers.vlm_compare import VlmCompare
+from tog_drake.view_selection import ViewScorer, select_view
 
 
 @dataclass
@@ -81,9 +84,8 @@ def export_questions(
         InputError: a cell or an option makes no sense, or ``out`` holds answers not yet imported.
     """
     tape = Cassette(cassette, "export")
-    _selector(
-        cell_scenario(cells[0]), options, cells[0].method.k, cassette
-    )  # to hear now what is wrong
+    # To hear now what is wrong:
+    _deciders(cell_scenario(cells[0]), options, cells[0].method.k, cassette)
     _check_imported(out / "answers.jsonl", tape)
     export, exported = Export(out), Exported()
     with Progress(console=console) as progress:
@@ -104,31 +106,36 @@ def export_questions(
     return exported
 
 
-def _selector(
+def _deciders(
     scenario: Scenario, options: SelectorOptions, k: str | None, cassette: Path
-) -> Selector:
+) -> tuple[ViewScorer, Selector]:
     """Returns what the scenario is to be decided by, and takes it out of its pipeline: only here
     can it be asked for questions that wait."""
     config = scenario.pipeline
     options.apply(config, asks=False)
     put_k(config, k)
+    scorer = make_view_scorer(config, scenario.random_seed, export=cassette)
+    if isinstance(config.view_selection.scorer, VlmCompare):
+        config.view_selection.scorer = Coverage()  # is not asked, and has the same cameras
     selector = make_selector(config, scenario.random_seed, export=cassette)
     config.selector = Geometric()  # is not asked
-    return selector
+    return scorer, selector
 
 
 def _look_at(cell: Cell, options: SelectorOptions, cassette: Path) -> _Looked:
     """Runs an episode as far as its choice."""
     scenario = cell_scenario(cell)
     try:
-        selector = _selector(scenario, options, cell.method.k, cassette)
+        scorer, selector = _deciders(scenario, options, cell.method.k, cassette)
         world = build_world(scenario, target=cell.object or None, task=cell.task)
         simulator = look(world, scenario, cell.task)
         context = world.pipeline.GetMyContextFromRoot(simulator.get_context())
-        selected, cloud, candidates = (
+        views, cloud, candidates = (
             world.pipeline.GetOutputPort(port).Eval(context)
-            for port in ("selected_view", "cloud", "candidates")
+            for port in ("views", "cloud", "candidates")
         )
+        target = scenario.pipeline.view_selection.target
+        selected = select_view(scorer, views, cloud, candidates, cell.task, target=target)
         selector.select(selected.view, cloud, candidates, cell.task)
     except QuestionPending as pending:
         return _Looked(requests=pending.requests)

@@ -2,7 +2,7 @@
 
 from typing import Any, TypedDict
 
-from tog_drake.errors import NoChoice
+from tog_drake.errors import NoChoice, NoView
 from tog_drake.pipeline import Decision
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
@@ -42,10 +42,12 @@ class VlmRecord(TypedDict):
 
 
 def exchanges_of(decision: Decision) -> tuple[Exchange, ...]:
-    """Returns what a model was asked, whether or not that ended in a choice."""
-    if decision.choice is not None:
-        return decision.choice.exchanges
-    return decision.error.exchanges if isinstance(decision.error, NoChoice) else ()
+    """Returns what a model was asked, of the view and then of the grasp, whatever came of it."""
+    selected, choice, error = decision.selected_view, decision.choice, decision.error
+    exchanges = () if selected is None else selected.exchanges
+    if choice is not None:
+        return exchanges + choice.exchanges
+    return exchanges + (error.exchanges if isinstance(error, NoView | NoChoice) else ())
 
 
 def exchange_records(decision: Decision) -> list[ExchangeRecord]:
