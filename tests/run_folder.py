@@ -29,6 +29,7 @@ def make_line(number=0, outcome="lifted", *, complies=True, exchanges=(), judge=
     cell = {
         "name": f"episode-{number}", "number": number, "tasks": 1, "method": "oracle",
         "proposer": None, "k": None, "selector": "oracle", "strategy": None, "vlm": None,
+        "view": None,
         "scenario": "Hammer", "object": "hammer", "seed": 0, "task": "use the hammer",
         "category": "use", "beyond": None,
     }  # fmt: skip

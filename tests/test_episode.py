@@ -52,7 +52,9 @@ def test_the_record_is_complete_and_is_json(episodes):
     counts = record["counts"]
     assert set(counts) == {"points", "proposed", "feasible", "candidates"}
     assert counts["proposed"] == counts["feasible"] + sum(record["rejected"].values())
-    stages = {"render", "cloud", "propose", "filter", "candidates", "select", "plan"}
+    stages = {
+        "render", "cloud", "propose", "filter", "candidates", "choose_view", "select", "plan",
+    }  # fmt: skip
     assert set(record["seconds"]) == stages | {"decide", "execute"}
     assert record["seconds"]["decide"] == pytest.approx(
         sum(record["seconds"][stage] for stage in stages - {"render"})

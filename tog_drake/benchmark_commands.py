@@ -24,6 +24,7 @@ from tog_drake.terminal import (
     print_rates,
     say,
 )
+from tog_drake.view_options import VIEW_FORMS, ViewOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 _MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
 
 
-@spread(without=["selector", "strategy", "vlm"])
+@spread(without=["selector", "strategy", "vlm", "view"])
 def evaluate_(
     suite: SuiteArgument,
     *,
@@ -61,6 +62,11 @@ def evaluate_(
     k: Annotated[
         str | None, typer.Option(help="How many candidates, comma-separated: 2,3,auto.")
     ] = None,
+    views: Annotated[
+        str | None,
+        typer.Option(help=f"Whose view is shown, comma-separated: {VIEW_FORMS}."),
+    ] = None,
+    cameras: ViewOptions,
     checkpoint: Annotated[
         Path | None, typer.Option(help="File of weights for the proposer contact-graspnet.")
     ] = None,
@@ -107,8 +113,8 @@ def evaluate_(
     console = console_for(as_json)
     check_folder(out)
     loaded = load_suite(suite, runs.scenario_text)
-    methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
-    cells = runs.cells(loaded, methods)
+    methods = _methods(selectors, strategies, vlm or [], proposers, k, views, checkpoint, options)
+    cells = runs.cells(loaded, methods, cameras)
     parallel, count = _parallel(workers)
     shared = (out / SHARED).resolve()
     work = EpisodeWork(shared, options, checkpoint, judge, replays)
@@ -221,6 +227,7 @@ def _methods(
     models: "list[str]",
     proposers: str | None,
     k: str | None,
+    views: str | None,
     checkpoint: Path | None,
     options: SelectorOptions,
 ) -> "list[Method]":
@@ -239,6 +246,7 @@ def _methods(
         models=models,
         proposers=names(proposers) if proposers else [],
         ks=names(k) if k else [],
+        views=names(views) if views else [],
     )
     if checkpoint is not None and not any(method.takes_weights for method in methods):
         raise InputError(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.suite import Suite
     from tog_drake.pipeline import PipelineConfig, ProposerConfig
     from tog_drake.selectors.vlm.selector import Vlm
+    from tog_drake.view_options import ViewOptions
 
 T = TypeVar("T")
 
@@ -293,12 +294,16 @@ class SuiteOptions:
     noise: NoiseOption = False
     scenario_text: ScenarioText = None
 
-    def cells(self, suite: "Suite", methods: "Sequence[Method]") -> "list[Cell]":
+    def cells(
+        self, suite: "Suite", methods: "Sequence[Method]", views: "ViewOptions | None" = None
+    ) -> "list[Cell]":
         """Returns the episodes. Raises as ``make_cells``."""
         from tog_drake.benchmark.cells import make_cells
 
         seeds = range(self.seeds or suite.seeds)
-        return make_cells(suite, methods, seeds, noise=self.noise, text=self.scenario_text)
+        return make_cells(
+            suite, methods, seeds, noise=self.noise, text=self.scenario_text, views=views
+        )
 
 
 def put_k(config: "PipelineConfig", k: str | None) -> None:

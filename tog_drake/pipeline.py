@@ -301,7 +301,8 @@ def used_cameras(config: PipelineConfig, cameras: Collection[str]) -> tuple[str,
     """Returns the names of the cameras that the pipeline reads, its own first.
 
     Raises:
-        InputError: if its own is not among those that there are.
+        InputError: if its own is not among those that there are, or it is the only one where
+            several views are to be compared or fused.
     """
     own = config.camera
     if own not in cameras:
@@ -310,6 +311,11 @@ def used_cameras(config: PipelineConfig, cameras: Collection[str]) -> tuple[str,
         )
     if isinstance(config.view_selection.scorer, Hand) and not config.cloud.fuse:
         return (own,)
+    if len(cameras) == 1:
+        raise InputError(
+            f"views are to be compared or fused, but the scenario has one camera, {own}; valid: "
+            "more in its `cameras`, or with --side-cameras"
+        )
     return (own, *(name for name in cameras if name != own))
 
 

@@ -9,12 +9,13 @@ from typing import Any, TypedDict
 
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import PROPOSERS, SELECTORS, STAGES, Decision, PipelineConfig
+from tog_drake.pipeline import PROPOSERS, SCORERS, SELECTORS, STAGES, Decision, PipelineConfig
 from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
-from tog_drake.values import Grasps
+from tog_drake.values import CameraView, Grasps
+from tog_drake.visibility import visible
 from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
 
 SCHEMA = "tog_drake/episode/1"
@@ -33,6 +34,18 @@ class ChoiceRecord(TypedDict):
     pointed: dict[str, list[float]]  # role -> [u, v] in the view, where a model pointed
     score: float  # the proposer's confidence
     width: float  # [m] between the contacts
+
+
+class ViewSelectionRecord(TypedDict):
+    """In which view whoever chose was shown the grasps."""
+
+    scorer: dict[str, Any]  # {"kind": who compared the views, its settings}
+    camera: str  # the one that is shown
+    scores: dict[str, float]  # camera -> score, higher is less ambiguous; of !Hand 1 and 0
+    reason: str
+    status: str  # "ok"; "not_found": no view shows the target, so the pipeline's own is shown
+    candidates_visible: dict[str, int]
+    """Camera -> candidates whose contact it sees; of the pipeline's own alone with !Hand."""
 
 
 class AttemptRecord(TypedDict):
@@ -63,6 +76,7 @@ class EpisodeRecord(TypedDict):
     selector: dict[str, Any]  # {"kind": ..., its settings}
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that are not feasible, by reason; without an arm: hidden
+    view_selection: ViewSelectionRecord | None  # null: not reached, or there was one saved view
     choice: ChoiceRecord | None
     vlm: VlmRecord | None  # null: no model was asked
     attempts: list[AttemptRecord]
@@ -146,6 +160,7 @@ def new_record(
         selector=kind_and_settings(config.selector),
         counts=counts,
         rejected=dict(rejected),
+        view_selection=_view_selection_record(decision, config),
         choice=_choice_record(decision),
         vlm=vlm_record(decision, config.selector, seed=seed),
         attempts=[attempt_record(decision)],
@@ -176,8 +191,8 @@ def _proposer_record(decision: Decision, config: PipelineConfig) -> dict[str, An
 
 
 def kind_and_settings(config: Any) -> dict[str, Any]:
-    """What the config of a proposer or selector says, and its kind as the command spells it."""
-    known = {**PROPOSERS, **SELECTORS}
+    """What the config of an alternative says, and its kind as the command spells it."""
+    known = {**PROPOSERS, **SELECTORS, **SCORERS}
     tag = type(config)
     kind = next((name for name, t in known.items() if t is tag), tag.__name__.lower())
     more: dict[str, Any] = {}
@@ -209,6 +224,26 @@ def selector_name(record: EpisodeRecord) -> str:
     if vlm is None:
         return str(selector["kind"])
     return f"{selector['kind']} {vlm['strategy']} {vlm['model']}"
+
+
+def _view_selection_record(
+    decision: Decision, config: PipelineConfig
+) -> ViewSelectionRecord | None:
+    selected, candidates = decision.selected_view, decision.candidates
+    if selected is None or candidates is None:
+        return None
+    contacts = candidates.grasps.p_WContact[candidates.index]
+    return ViewSelectionRecord(
+        scorer=kind_and_settings(config.view_selection.scorer),
+        camera=selected.camera,
+        scores=dict(selected.scores),
+        reason=selected.reason,
+        status=selected.status,
+        candidates_visible={
+            each.camera: int(visible(contacts, each.view).sum())
+            for each in decision.views or (CameraView(selected.camera, selected.view),)
+        },
+    )
 
 
 def _choice_record(decision: Decision) -> ChoiceRecord | None:

@@ -46,6 +46,9 @@ class EpisodeReport:
     replay: str | None = None  # see visualization.replay_html
     exchanges: Sequence[Exchange] = ()  # what a model was asked, and what it said
     exchanges_before: Sequence[Exchange] = ()  # likewise, at looks whose grasp failed
+    views: Sequence[tuple[str, NDArray[np.uint8]]] = ()
+    """Of each camera that the pipeline read, if several, its name and (H, W, 3) with the
+    candidates drawn in."""
 
 
 def write_report(
@@ -94,6 +97,7 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
         "depth": None if view is None else _data_url(depth_image(view.depth)),
         "depth_range": None if view is None else depth_range(view.depth),
         "decision": None if episode.decision is None else _data_url(episode.decision),
+        "views": _strip(episode.views, record.get("view_selection", {})),
         "asked": _asked(
             record.get("vlm", {}),
             episode.exchanges_before,
@@ -194,6 +198,23 @@ def _question(
             "Key": visible(exchange.key, limit=100),
         },
     }
+
+
+def _strip(
+    views: Sequence[tuple[str, NDArray[np.uint8]]], selection: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Returns what the template shows of the views of several cameras."""
+    scores, seen = selection.get("scores", {}), selection.get("candidates_visible", {})
+    return [
+        {
+            "camera": visible(camera, limit=100),
+            "picture": _data_url(image),
+            "score": scores.get(camera),
+            "seen": seen.get(camera),
+            "selected": camera == selection.get("camera"),
+        }
+        for camera, image in views
+    ]
 
 
 def _cassette(exchange: Exchange) -> str | None:

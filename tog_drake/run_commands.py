@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tog_drake.errors import InputError
 from tog_drake.files import check_folder
 from tog_drake.options import (
     DEFAULT_SCENARIO,
@@ -28,6 +29,7 @@ from tog_drake.terminal import (
     print_stages,
     say,
 )
+from tog_drake.view_options import ViewOptions
 
 if TYPE_CHECKING:
     pass
@@ -54,6 +56,7 @@ def run(
     ] = None,
     selector: SelectorOptions,
     proposer: ProposerOptions,
+    views: ViewOptions,
     k: KOption = None,
     seed: SeedOption = None,
     noise: NoiseOption = False,
@@ -74,6 +77,7 @@ def run(
     from tog_drake.scenario import load_scenario
     from tog_drake.showing import report_of, show_live
     from tog_drake.task import read_task
+    from tog_drake.view_selection import Hand
 
     console = console_for(as_json)
     check_folder(out)
@@ -83,6 +87,11 @@ def run(
     selector.apply(loaded.pipeline, fallback="geometric")
     proposer.apply(loaded.pipeline)
     put_k(loaded.pipeline, k)
+    views.apply(loaded)
+    if views.target is not None and isinstance(loaded.pipeline.view_selection.scorer, Hand):
+        raise InputError(
+            f"--target {views.target!r}: only who compares views reads it; valid: with --view"
+        )
     if loaded.asset is not None and object_ is not None:
         loaded.asset = object_
     if noise:

@@ -19,13 +19,14 @@ from pydrake.systems.sensors import CameraConfig
 from tog_drake.assets.library import PACKAGE, asset_dir
 from tog_drake.assets.model import CORE_FILE, MODEL
 from tog_drake.assets.surface import read_core
-from tog_drake.cameras import D435, L515, drake_config
+from tog_drake.cameras import L515, Camera, drake_config
 from tog_drake.errors import InputError
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.placement import Settle, placed
 from tog_drake.resources import make_package_map, resource_dir
 from tog_drake.schema_check import check_yaml
 
+SIDE_CAMERAS = "side_cameras"  # the scenario that has them
 MAX_SCENARIO_BYTES = 1_000_000  # a scenario is a page; anything larger is not one
 MAX_GRIP_FORCE = 140.0  # [N] the Franka hand's, for a moment (data sheet; 70 N continuously)
 MAX_FRICTION = 2.0  # rubber on rubber; more is a slip of the pen
@@ -76,9 +77,7 @@ class Scenario:
     """The greatest force of each finger [N]; the hand's data sheet gives 70, at most 140."""
     object_friction: float | None = None
     """Replaces the friction coefficient of every free object and of the fingers."""
-    cameras: dict[str, L515 | D435 | CameraConfig] = field(
-        default_factory=lambda: {"wrist": L515()}
-    )
+    cameras: dict[str, Camera] = field(default_factory=lambda: {"wrist": L515()})
     """RGB-D cameras by name."""
     plant_config: MultibodyPlantConfig = field(
         default_factory=lambda: MultibodyPlantConfig(
@@ -136,6 +135,12 @@ def load_scenario(
     if seed is not None:
         scenario.random_seed = seed
     return scenario
+
+
+def with_side_cameras(cameras: dict[str, Camera]) -> dict[str, Camera]:
+    """Returns the cameras with those of the scenario ``side_cameras``; names in both stay."""
+    side = load_scenario(SIDE_CAMERAS).cameras
+    return cameras | {name: camera for name, camera in side.items() if name not in cameras}
 
 
 def parse_scenario(content: str, source: str, defaults: Scenario) -> Scenario:

@@ -7,9 +7,10 @@ from pydrake.geometry import Meshcat
 from rich.console import Console
 
 from tog_drake.contact_sheet import contact_sheet
-from tog_drake.drawing import decision_image, encode_png
+from tog_drake.drawing import Image, decision_image, encode_png
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
+from tog_drake.pipeline import Decision
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation
@@ -38,7 +39,15 @@ def report_of(episode: Episode) -> EpisodeReport:
         exchanges_before=episode.exchanges_before,
         motion=decision.motion,
         replay=episode.replay,
+        views=_views_of(decision),
     )
+
+
+def _views_of(decision: Decision) -> list[tuple[str, Image]]:
+    """The views of several cameras, each with its camera's name and the candidates drawn in."""
+    return [
+        (each.camera, decision_image(each.view, decision.candidates)) for each in decision.views
+    ]
 
 
 def _scene(scenario: Scenario) -> Meshcat:

@@ -119,6 +119,7 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
     print_origins(console, [record["proposer"]])
+    print_view(console, record)
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
@@ -138,6 +139,23 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     )
     for pair, newtons in (record["collisions"] or {}).items():
         say(console, f"collision: {pair}, {newtons:.1f} N")
+
+
+def print_view(console: Console, record: "EpisodeRecord") -> None:
+    """One line that says whose view is shown, where several were compared."""
+    shown = record["view_selection"]
+    if shown is None or shown["scorer"]["kind"] == "hand":
+        return
+    scores, seen = dict(shown["scores"]), shown["candidates_visible"]
+    best = scores.pop(shown["camera"])
+    others = ", ".join(f"{camera} {score:.2f}" for camera, score in scores.items())
+    missing = "" if shown["status"] == "ok" else " No view shows the target."
+    say(
+        console,
+        f"shown: the view of {shown['camera']} ({best:.2f}; {others}), in which "
+        f"{seen[shown['camera']]} of {record['counts']['candidates']} candidates are visible. "
+        f"{shown['reason']}{missing}",
+    )
 
 
 def print_weights(console: Console, weights: "Mapping[str, Any] | None") -> None:

@@ -3,7 +3,7 @@
 import hashlib
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tog_drake.assets.library import asset_names
@@ -14,6 +14,7 @@ from tog_drake.cameras import with_noise
 from tog_drake.errors import InputError
 from tog_drake.object_parts import labels_file
 from tog_drake.scenario import Scenario, load_scenario, model_files, scenario_files
+from tog_drake.view_options import ViewOptions
 
 CLUTTER = ("Household", "Kitchen", "Tools")
 """The scenarios of several objects; every other one holds a single object."""
@@ -36,6 +37,7 @@ class Cell:
     trials: tuple[Trial, ...]  # of one object in one scenario; the first is what the robot is told
     noise: bool = False
     text: str | None = None  # YAML over the scenario
+    views: ViewOptions = field(default_factory=ViewOptions)  # the cameras, the same for all methods
 
     @property
     def scenario(self) -> str:
@@ -70,6 +72,7 @@ class Cell:
             selector=self.method.selector,
             strategy=self.method.strategy,
             vlm=self.method.vlm,
+            view=self.method.view,
             scenario=self.scenario,
             object=self.object,
             seed=self.seed,
@@ -86,6 +89,7 @@ def make_cells(
     *,
     noise: bool = False,
     text: str | None = None,
+    views: ViewOptions | None = None,
 ) -> list[Cell]:
     """Returns the episodes to run, in a fixed order: method, object, seed, task.
 
@@ -105,7 +109,10 @@ def make_cells(
                 asked = [trial.at(seed) for trial in trials]
                 told = [[trial] for trial in asked] if method.reads_task else [asked]
                 for each in told:
-                    cells.append(Cell(len(cells), method, seed, tuple(each), noise, text))
+                    n = len(cells)
+                    cells.append(
+                        Cell(n, method, seed, tuple(each), noise, text, views or ViewOptions())
+                    )
     return cells
 
 
@@ -124,6 +131,7 @@ def cell_scenario(cell: Cell) -> Scenario:
     scenario = load_scenario(cell.scenario, cell.text, seed=cell.seed)
     if cell.scenario == SCENARIO and cell.object:
         scenario.asset = cell.object
+    cell.views.apply(scenario)
     if cell.noise:
         scenario.cameras = with_noise(scenario.cameras)
     return scenario

@@ -41,6 +41,7 @@ class CellRecord(TypedDict):
     selector: str
     strategy: str | None
     vlm: str | None
+    view: str | None  # as --views names who compares them
     scenario: str
     object: str
     seed: int

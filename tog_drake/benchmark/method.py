@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from tog_drake.benchmark.tables import TASK_BLIND
 from tog_drake.errors import InputError
 from tog_drake.options import ProposerOptions, SelectorOptions, put_k, valid
+from tog_drake.view_options import put_view
 
 if TYPE_CHECKING:
     from tog_drake.pipeline import PipelineConfig
@@ -15,19 +16,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Method:
-    """Who proposes, among how many candidates, and who chooses; None leaves the scenario's."""
+    """Who proposes, among how many candidates, and who chooses in which view.
+
+    None leaves the scenario's.
+    """
 
     selector: str
     proposer: str | None = None
     k: str | None = None
     strategy: str | None = None  # this and the next: of the selector "vlm" alone
     vlm: str | None = None
+    view: str | None = None  # who compares views
 
     @property
     def name(self) -> str:
         """The row's label: what was said of the method, such as "vlm cpg gemini:NAME, K=auto"."""
         chooses = [part for part in (self.selector, self.strategy, self.vlm) if part is not None]
         words = [" ".join(chooses)]
+        if self.view is not None:
+            words.append(f"view: {self.view}")
         if self.k is not None:
             words.append(f"K={self.k}")
         if self.proposer is not None:
@@ -65,6 +72,7 @@ class Method:
         weights = checkpoint if self.takes_weights else None
         ProposerOptions(self.proposer, weights).apply(config)
         put_k(config, self.k)
+        put_view(config, self.view)
 
 
 def make_methods(
@@ -74,8 +82,10 @@ def make_methods(
     models: Sequence[str] = (),
     proposers: Sequence[str] = (),
     ks: Sequence[str] = (),
+    views: Sequence[str] = (),
 ) -> list[Method]:
-    """Returns all combinations, in a fixed order: proposers, K, selectors, strategies, models.
+    """Returns all combinations, in a fixed order: proposers, K, selectors, strategies, models,
+    views.
 
     Strategies and models multiply the selector "vlm" alone.
 
@@ -86,15 +96,16 @@ def make_methods(
 
     for selector in selectors:
         valid(selector, SELECTORS, "selector")
-    for given in (selectors, strategies, models, proposers, ks):
+    for given in (selectors, strategies, models, proposers, ks, views):
         if len(set(given)) < len(given):
             raise InputError(f"{', '.join(given)}: one is named twice; valid: each once")
     one: list[str | None] = [None]
     return [
-        Method(selector, proposer, k, strategy, model)
+        Method(selector, proposer, k, strategy, model, view)
         for proposer in [*proposers] or one
         for k in [*ks] or one
         for selector in selectors
         for strategy in ([*strategies] if selector == "vlm" else []) or one
         for model in ([*models] if selector == "vlm" else []) or one
+        for view in [*views] or one
     ]

@@ -139,7 +139,7 @@ def command(run: Run) -> str:
     config = run.config
 
     def different(field: str) -> list[str]:
-        named = (cast(Mapping[str, Any], cell)[field] for cell in cells)
+        named = (cast(Mapping[str, Any], cell).get(field) for cell in cells)
         return list(dict.fromkeys(str(name) for name in named if name is not None))
 
     suite = str(config.get("suite"))
@@ -148,6 +148,7 @@ def command(run: Run) -> str:
     for option in ("proposer", "k", "selector"):
         words += _option(option if option == "k" else f"{option}s", ",".join(different(option)))
     words += _option("strategies", ",".join(different("strategy")))
+    words += _option("views", ",".join(different("view")))
     for model in different("vlm"):
         words += _option("vlm", model)
     words += _option("seeds", config.get("seeds"))
@@ -155,7 +156,9 @@ def command(run: Run) -> str:
     words += _option("judge", config.get("judge"))
     for name, value in (config.get("asked") or {}).items():
         words += _option(name, value)
-    return shlex.join([*words, *["--noise"] * bool(config.get("noise"))])
+    words += _option("target", config.get("target"))
+    flags = [f"--{flag}" for flag in ("side-cameras", "fuse", "noise") if config.get(flag)]
+    return shlex.join([*words, *flags])
 
 
 def _option(name: str, value: Any) -> list[str]:

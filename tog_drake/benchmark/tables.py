@@ -225,7 +225,7 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
 def _without_k(line: "Line") -> str:
     """What a method is but for its K; ``candidate_rows`` sets several apart by it."""
     cell = line["cell"]
-    named = (cell["proposer"], cell["selector"], cell["strategy"], cell["vlm"])
+    named = (cell["proposer"], cell["selector"], cell["strategy"], cell["vlm"], cell.get("view"))
     return " ".join(name for name in named if name is not None)
 
 
