@@ -17,6 +17,8 @@ from pydrake.perception import PointCloud
 from tabletop import HAMMER_SIZED, TABLE, look
 
 from tog_drake.errors import InputError, NoView
+from tog_drake.pipeline import make_view_scorer
+from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors.vlm import transport
 from tog_drake.values import CameraView, Candidates
 from tog_drake.view_scorers import detect_protocol
@@ -30,6 +32,7 @@ from tog_drake.view_scorers.detect_protocol import (
 )
 from tog_drake.view_scorers.detections import Detection, check_target, score_detections
 from tog_drake.view_scorers.remote import Remote, RemoteScorer
+from tog_drake.view_selection import select_view
 
 ON_IT = (10.0, 20.0, 40.0, 60.0)
 
@@ -267,6 +270,22 @@ def test_an_url_that_is_none_or_may_hold_a_secret_is_refused_and_not_shown(url):
     with pytest.raises(InputError, match="scheme, host and path alone") as caught:
         RemoteScorer(Remote(url))
     assert "secret" not in str(caught.value)
+
+
+def test_a_scenario_names_the_server_by_a_tag_and_its_pipeline_asks_it():
+    with DetectionServer() as server:
+        text = f"{{scorer: !Remote {{url: {server.url}/detect, timeout: 20}}, target: hammer}}"
+        config = parse_scenario(
+            f"pipeline: {{view_selection: {text}}}", "text", Scenario()
+        ).pipeline
+        scorer = make_view_scorer(config, seed=0)
+        selected = select_view(
+            scorer, views(), PointCloud(0), Candidates.empty(), "x", target="hammer"
+        )
+    assert config.view_selection.scorer == Remote(f"{server.url}/detect", 20.0)
+    assert list(selected.scores) == ["wrist", "side", "away"]
+    best = max(selected.scores, key=selected.scores.get)
+    assert (selected.status, selected.camera) == ("ok", best)
 
 
 @pytest.mark.parametrize("timeout", [0.0, -1.0, float("inf"), float("nan")])

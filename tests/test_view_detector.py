@@ -15,6 +15,8 @@ from pydrake.perception import PointCloud
 from tabletop import HAMMER_SIZED, TABLE, look
 
 from tog_drake.errors import InputError
+from tog_drake.pipeline import make_view_scorer
+from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.values import CameraView, Candidates
 from tog_drake.view_scorers import detector
 from tog_drake.view_scorers.detector import (
@@ -126,6 +128,14 @@ def test_the_score_is_the_greatest_confidence_that_the_network_gives_the_words(t
     expected = confidence[~(beside | (v + down / 2 <= 0))].max()
     assert score(tiny, "mug", threshold=0.0).values[0] == pytest.approx(float(expected))
     assert score(tiny, "mug").values == score(tiny, "mug").values
+
+
+def test_a_scenario_names_the_network_by_a_tag(tiny):
+    text = f"pipeline: {{view_selection: {{scorer: !Detector {{model: {tiny}, threshold: 0}}}}}}"
+    pipeline = parse_scenario(text, "text", Scenario()).pipeline
+    scorer = make_view_scorer(pipeline, seed=0)
+    found = scorer.score(views(), PointCloud(0), Candidates.empty(), "axe", "use the axe")
+    assert found == score(tiny, "axe", threshold=0.0)
 
 
 def test_the_words_matter(tiny):

@@ -1,5 +1,6 @@
 """The view that a vision-language model finds clearest, against a server on this machine."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,14 +10,17 @@ from test_strategies import bar_scene
 from test_vlm_selector import cloud_of, saying
 from vlm_server import KEY, VlmServer, hang
 
-from tog_drake.errors import InputError, NoView
+from tog_drake.errors import InputError, NoChoice, NoView
+from tog_drake.pipeline import Decision, make_view_scorer
+from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import CANVASES, TILE
 from tog_drake.selectors.vlm.cassette import NotRecorded
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.request import QuestionPending
-from tog_drake.values import CameraView
+from tog_drake.values import CameraView, Choice, SelectedView
 from tog_drake.view_scorers.vlm_compare import VlmCompare, VlmCompareScorer
+from tog_drake.vlm_record import exchange_records
 
 SCENE = bar_scene()
 TASK = 'use the "hammer"'
@@ -174,3 +178,25 @@ def test_the_number_of_a_picture_hides_nothing_of_the_things():
         v, u = np.nonzero(white)
         around = red[max(v.min() - 6, 0) : v.max() + 6, max(u.min() - 6, 0) : u.max() + 6]
         assert not around.any()
+
+
+def test_what_was_asked_of_the_views_is_in_the_record_before_what_was_asked_of_the_grasp():
+    with saying("Final answer: 2") as server:
+        asked = score(config(server)).exchanges
+    selected = SelectedView("wrist", views()[0].view, {}, "", exchanges=asked)
+    said = replace(asked[0], prompt="gsi/1")
+    choice = replace(Choice.none(), exchanges=(said,))
+    chosen = Decision(selected_view=selected, choice=choice)
+    assert [e["prompt"] for e in exchange_records(chosen)] == ["view/1", "gsi/1"]
+    no_choice = Decision(selected_view=selected, error=NoChoice("", exchanges=(said,)))
+    assert [e["prompt"] for e in exchange_records(no_choice)] == ["view/1", "gsi/1"]
+    no_view = Decision(error=NoView("", exchanges=asked))
+    assert [e["prompt"] for e in exchange_records(no_view)] == ["view/1"]
+
+
+def test_a_scenario_names_the_model_by_tags():
+    scorer = "!VlmCompare {model: !OpenAi {model: any, base_url: http://127.0.0.1:9/v1}}"
+    text = f"pipeline: {{view_selection: {{scorer: {scorer}}}}}"
+    pipeline = parse_scenario(text, "text", Scenario()).pipeline
+    assert isinstance(make_view_scorer(pipeline, seed=3), VlmCompareScorer)
+    assert pipeline.view_selection.scorer.model.model == "any"

@@ -5,6 +5,8 @@ asked for "a photo of a TARGET", as its authors' model card does. transformers a
 weights are both under the Apache licence 2.0. Neither comes with this package, and nothing is
 downloaded in a run: what is not in the cache of Hugging Face is an error that says how to get it.
 Only safetensors are read, and no code that lies beside weights is ever run.
+
+A network of the default's size needs 1.3 GB and, on a processor, some 20 s of it for every view.
 """
 
 import logging
@@ -87,7 +89,7 @@ class DetectorScorer:
         check_target(target)
         network = load(self._folder, self._config.device)
         threshold = self._config.threshold
-        # One after the other: the attention of a view of 960 × 960 pixels alone takes 0.6 GB.
+        # One after the other, or five views would take five times the memory of one.
         found = [network.detect(seen.view.rgb, target, threshold) for seen in views]
         return score_detections(views, found, target, self._config.model)
 
