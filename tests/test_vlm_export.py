@@ -12,7 +12,6 @@ from vlm_server import KEY, VlmServer
 from tog_drake.episode import build_world, look
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
-from tog_drake.resources import resource_dir
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.recorded import Recorded
@@ -95,13 +94,10 @@ def test_a_run_goes_on_where_somebody_answered_its_question_by_hand(tmp_path, mo
 
 
 def test_the_view_is_asked_for_first_and_then_the_grasp(tmp_path):
-    scenario = tmp_path / "side.yaml"
-    scorer = "!VlmCompare {model: !OpenAi {model: any, base_url: http://127.0.0.1:9/v1}}"
-    text = (resource_dir("diagrams") / "side_cameras.yaml").read_text()
-    scenario.write_text(f"{text}\npipeline: {{view_selection: {{scorer: {scorer}}}}}\n")
     tape, out = tmp_path / "tape.jsonl", tmp_path / "out"
     command = ("vlm", "export", "--cassette", tape, *MODEL, "--strategy", "cpg", "--out", out)
-    command += ("--scenario", scenario, "--task", "drink from the mug", "--rendering", "paper")
+    command += ("--scenario", "Mug", "--side-cameras", "--view", "vlm-compare")
+    command += ("--task", "drink from the mug")
 
     def asked():
         done = tog(*command, "--json")
@@ -110,7 +106,7 @@ def test_the_view_is_asked_for_first_and_then_the_grasp(tmp_path):
         return [entry for entry in Cassette(tape, "export").questions if entry.pending]
 
     (view,) = asked()
-    assert view.prompt == "view/1"
+    assert (view.prompt, view.model) == ("view/1", MODEL[1])
     line = json.loads((out / "answers.jsonl").read_text())
     (out / "answers.jsonl").write_text(json.dumps({**line, "answer": "Final answer: 2"}))
     assert tog("vlm", "import", out / "answers.jsonl", "--cassette", tape).status == 0

@@ -15,6 +15,7 @@ from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import CameraView, Grasps
+from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.visibility import visible
 from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
 
@@ -198,7 +199,7 @@ def kind_and_settings(config: Any) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if isinstance(config, Oracle):
         more["note"] = ORACLE_NOTE
-    if isinstance(config, Vlm) and config.model is not None:
+    if isinstance(config, Vlm | VlmCompare) and config.model is not None:
         more["model"] = {"specification": specification(config.model), **asdict(config.model)}
     return {"kind": kind, **asdict(config), **more}
 

@@ -24,6 +24,7 @@ from tog_drake.options import (
     valid,
 )
 from tog_drake.terminal import asking, console_for, print_json, say
+from tog_drake.view_options import ViewOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -162,6 +163,7 @@ def export(
     ] = None,
     seed: SeedOption = None,
     runs: SuiteOptions,
+    views: ViewOptions,
     k: KOption = None,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     out: Annotated[
@@ -185,11 +187,12 @@ def export(
         raise InputError(f"what is to be asked? valid: --task for one scenario, or a suite{both}")
     if suite is not None and any(x is not None for x in (scenario, object_, seed)):
         raise InputError("--scenario, --object and --seed go with --task; valid: --seeds")
-    method = Method("vlm", k=k)
+    method, cameras = Method("vlm", k=k, view=views.view), replace(views, view=None)
     if suite is None:
-        cells = [_cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, runs, method)]
+        cell = _cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, runs, method)
+        cells = [replace(cell, views=cameras)]
     else:
-        cells = runs.cells(load_suite(suite, runs.scenario_text), [method])
+        cells = runs.cells(load_suite(suite, runs.scenario_text), [method], cameras)
     exported = export_questions(
         cells,
         replace(options, selector="vlm", fallback="fail"),

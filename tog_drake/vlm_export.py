@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
+from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.processes import in_order, in_processes
 from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
@@ -26,6 +27,7 @@ from tog_drake.selectors.vlm.batch import Export, custom_id, how_to_send
 from tog_drake.selectors.vlm.batch_answers import read_answers
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.request import QuestionPending, Request
+from tog_drake.view_options import put_view
 from tog_drake.view_scorers.coverage import Coverage
 from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.view_selection import ViewScorer, select_view
@@ -85,7 +87,7 @@ def export_questions(
     """
     tape = Cassette(cassette, "export")
     # To hear now what is wrong:
-    _deciders(cell_scenario(cells[0]), options, cells[0].method.k, cassette)
+    _deciders(cell_scenario(cells[0]), options, cells[0].method, cassette)
     _check_imported(out / "answers.jsonl", tape)
     export, exported = Export(out), Exported()
     with Progress(console=console) as progress:
@@ -107,13 +109,14 @@ def export_questions(
 
 
 def _deciders(
-    scenario: Scenario, options: SelectorOptions, k: str | None, cassette: Path
+    scenario: Scenario, options: SelectorOptions, method: Method, cassette: Path
 ) -> tuple[ViewScorer, Selector]:
     """Returns what the scenario is to be decided by, and takes it out of its pipeline: only here
     can it be asked for questions that wait."""
     config = scenario.pipeline
     options.apply(config, asks=False)
-    put_k(config, k)
+    put_k(config, method.k)
+    put_view(config, method.view)
     scorer = make_view_scorer(config, scenario.random_seed, export=cassette)
     if isinstance(config.view_selection.scorer, VlmCompare):
         config.view_selection.scorer = Coverage()  # is not asked, and has the same cameras
@@ -126,7 +129,7 @@ def _look_at(cell: Cell, options: SelectorOptions, cassette: Path) -> _Looked:
     """Runs an episode as far as its choice."""
     scenario = cell_scenario(cell)
     try:
-        scorer, selector = _deciders(scenario, options, cell.method.k, cassette)
+        scorer, selector = _deciders(scenario, options, cell.method, cassette)
         world = build_world(scenario, target=cell.object or None, task=cell.task)
         simulator = look(world, scenario, cell.task)
         context = world.pipeline.GetMyContextFromRoot(simulator.get_context())
