@@ -16,7 +16,7 @@ from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import CameraView, Grasps
 from tog_drake.view_scorers.vlm_compare import VlmCompare
-from tog_drake.visibility import visible
+from tog_drake.visibility import shown_in
 from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
 
 SCHEMA = "tog_drake/episode/1"
@@ -46,7 +46,7 @@ class ViewSelectionRecord(TypedDict):
     reason: str
     status: str  # "ok"; "not_found": no view shows the target, so the pipeline's own is shown
     candidates_visible: dict[str, int]
-    """Camera -> candidates whose contact it sees; of the pipeline's own alone with !Hand."""
+    """Camera -> candidates of which it sees a contact; with !Hand and no fusion its own alone."""
 
 
 class AttemptRecord(TypedDict):
@@ -233,7 +233,7 @@ def _view_selection_record(
     selected, candidates = decision.selected_view, decision.candidates
     if selected is None or candidates is None:
         return None
-    contacts = candidates.grasps.p_WContact[candidates.index]
+    grasps = candidates.grasps.take(candidates.index)
     return ViewSelectionRecord(
         scorer=kind_and_settings(config.view_selection.scorer),
         camera=selected.camera,
@@ -241,7 +241,7 @@ def _view_selection_record(
         reason=selected.reason,
         status=selected.status,
         candidates_visible={
-            each.camera: int(visible(contacts, each.view).sum())
+            each.camera: int(shown_in(grasps, each.view).sum())
             for each in decision.views or (CameraView(selected.camera, selected.view),)
         },
     )

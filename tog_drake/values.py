@@ -76,6 +76,13 @@ class Grasps:
     def __len__(self) -> int:
         return len(self.score)
 
+    @property
+    def p_WOtherContact(self) -> Array:
+        """(N, 3) [m] where the finger meets the object that does not meet it at ``p_WContact``."""
+        y = self.X_WG[:, :3, 1]
+        from_middle = ((self.p_WContact - self.X_WG[:, :3, 3]) * y).sum(axis=1)
+        return np.asarray(self.p_WContact - np.copysign(self.width, from_middle)[:, None] * y)
+
     def take(self, rows: NDArray[np.integer]) -> Self:
         """Returns the grasps of ``rows``, in that order, of the same type."""
         per_grasp = {

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, PAD_WIDTH
 from tog_drake.pinhole import project
-from tog_drake.values import Array, View
+from tog_drake.values import Array, Grasps, View
 
 _BEHIND = 0.006  # [m] less behind a surface is not hidden: depth noise
 _ALONG = np.linspace(-0.03, FINGERTIP_Z - 0.001, 7)  # [m] z_G of the samples: the fingers' ends
@@ -58,6 +58,11 @@ def visible(p_W: Array, view: View) -> NDArray[np.bool_]:
     pixel = project(p_W, view.intrinsics, view.X_WC)
     inside = np.all((pixel >= -0.5) & (pixel < np.array(size) - 0.5), axis=1)  # False where NaN
     return np.asarray(inside & ~(_behind(p_W, view) > _BEHIND))
+
+
+def shown_in(grasps: Grasps, view: View) -> NDArray[np.bool_]:
+    """Returns which grasps the view shows, (N,): those of which it sees one of both contacts."""
+    return visible(grasps.p_WContact, view) | visible(grasps.p_WOtherContact, view)
 
 
 def _behind(p_W: Array, view: View) -> Array:

@@ -22,6 +22,8 @@ SCANNED_CLUTTER = ("Tog29Household", "Tog29Kitchen", "Tog29Tools")
 """The same of imported objects."""
 SCANNED = ("Tog29", "Tog29Bottles", "Tog29Toys", *SCANNED_CLUTTER)
 """Scenarios of imported objects."""
+SEVERAL_CAMERAS = ("side_cameras", "MugHandleHidden", "BottleFromAbove")
+"""Scenarios about views, of objects that have scenarios of their own."""
 _NAME = 80  # characters of a cell's name, in which only its number must be unique
 _OF_MODEL = {".sdf", ".urdf", ".obj", ".mtl", ".gltf", ".glb", ".bin", ".stl", ".png", ".jpg"}
 _PREVIEW = "preview.png"
@@ -166,7 +168,7 @@ def scenario_of(object_: str) -> str:
     Raises:
         InputError: there is none.
     """
-    several = {*CLUTTER, *SCANNED}
+    several = {*CLUTTER, *SCANNED, *SEVERAL_CAMERAS}
     plain = {name.lower(): name for name in scenario_files() if name not in several}
     found = plain.get(object_.replace("_", "").replace(" ", "").lower())
     if found is None:

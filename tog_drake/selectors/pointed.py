@@ -122,15 +122,8 @@ def _nearest(scene: Scene, point: Array, allowed: NDArray[np.bool_]) -> Pick:
 
 def _distances(grasps: Grasps, point: Array) -> Array:
     """Returns how far both contacts are from a point: (N, 2) [m], that at ``p_WContact`` first."""
-    contacts = np.stack([grasps.p_WContact, _other_contacts(grasps)], axis=1)
+    contacts = np.stack([grasps.p_WContact, grasps.p_WOtherContact], axis=1)
     return np.asarray(np.linalg.norm(contacts - point, axis=2))
-
-
-def _other_contacts(grasps: Grasps) -> Array:
-    """Returns where the finger meets the object that does not meet it at ``p_WContact``, (N, 3)."""
-    y = grasps.X_WG[:, :3, 1]
-    from_middle = ((grasps.p_WContact - grasps.X_WG[:, :3, 3]) * y).sum(axis=1)
-    return np.asarray(grasps.p_WContact - np.copysign(grasps.width, from_middle)[:, None] * y)
 
 
 def _why_none(distance: Array, allowed: NDArray[np.bool_]) -> str:

@@ -21,7 +21,7 @@ from tog_drake.selectors.targets import find_target
 from tog_drake.task import read_task
 from tog_drake.values import Array, CameraView, Candidates, View, Workspace
 from tog_drake.view_selection import Scores
-from tog_drake.visibility import visible
+from tog_drake.visibility import shown_in, visible
 
 Mask = NDArray[np.bool_]
 
@@ -46,8 +46,8 @@ class CoverageScorer:
       the image (not truncated) and not behind what its depth shows (not occluded);
     - large: the square root of the area in the image that this takes, of the largest in any view:
       a length, as details are told apart by their length in pixels;
-    - shown: of the candidates' contacts how many it sees, one more of each counted so that
-      candidates alone decide nothing: (1 + n) / (1 + K).
+    - shown: of the K candidates, those n of which it sees one of both contacts; with one more in
+      either number, so that where no view shows a candidate the target decides: (1 + n) / (1 + K).
     """
 
     def __init__(self, workspace: Workspace):
@@ -66,15 +66,15 @@ class CoverageScorer:
         points = np.asarray(cloud.xyzs().T, np.float64)
         mask, how = self._target(points, cloud, views[0].view, target)
         surface = self._grown(points, mask, views)
-        contact = candidates.grasps.p_WContact[candidates.index]
+        grasps = candidates.grasps.take(candidates.index)
         sees = [visible(surface, v.view) for v in views]
         share = np.array([s.mean() for s in sees])
         area = np.array([_area(surface[s], v.view) for s, v in zip(sees, views, strict=True)])
-        shown = np.array([visible(contact, v.view).sum() for v in views])
+        shown = np.array([shown_in(grasps, v.view).sum() for v in views])
         large = np.sqrt(area / max(area.max(), 1.0))
-        values = np.cbrt(share * large * (1 + shown) / (1 + len(contact)))
+        values = np.cbrt(share * large * (1 + shown) / (1 + len(grasps)))
         compared = [
-            f"{views[i].camera} sees {share[i]:.0%} of it and {shown[i]} of {len(contact)} "
+            f"{views[i].camera} sees {share[i]:.0%} of it and {shown[i]} of {len(grasps)} "
             "candidates"
             for i in dict.fromkeys([int(np.argmax(values)), 0])
         ]
