@@ -41,7 +41,7 @@ def some_lines():
         make_line(4, "slipped", seed=1, task="hold it", method="vlm cpg m", selector="vlm",
                   strategy="cpg", vlm="m", object="mug", exchanges=[make_exchange("Mark 1.")]),
         make_line(5, "no_choice", seed=2, task="lift it", method="vlm cpg m", selector="vlm",
-                  strategy="cpg", vlm="m", closes_on=None, choice=None, motion=None,
+                  strategy="cpg", vlm="m", chosen_closes_on=None, choice=None, motion=None,
                   message="no number in the answer",
                   exchanges=[make_exchange(None, status="unreadable")]),
     ]  # fmt: skip
@@ -201,10 +201,10 @@ def test_whatever_a_model_or_a_user_said_is_inert(tmp_path):
     said = make_exchange(HOSTILE, text=HOSTILE, message=HOSTILE, prompt=HOSTILE, status=HOSTILE)
     fields = ("method", "scenario", "object", "task", "category", "outcome", "message", "strategy")
     everywhere = dict.fromkeys(fields, HOSTILE)
-    choice = {"index": 1, "part": HOSTILE, "reason": HOSTILE}
+    choice = {"index": 1, "planned_index": 2, "part": HOSTILE, "reason": HOSTILE}
     judge = {"model": HOSTILE, "complies": None, "status": HOSTILE, "cost": None, "seconds": 1.0}
     line = make_line(0, exchanges=[said], choice=choice, held={HOSTILE: 1.0}, allowed=[HOSTILE],
-                     closes_on={HOSTILE: 1.0}, judge=judge, vlm=HOSTILE,
+                     chosen_closes_on={HOSTILE: 1.0}, judge=judge, vlm=HOSTILE,
                      **everywhere)  # fmt: skip
     page = page_of(run_of(tmp_path / "run", [line], suite=HOSTILE, version=HOSTILE))
     plain = page_of(run_of(tmp_path / "plain"))

@@ -15,6 +15,7 @@ from tog_drake.benchmark.tables import (
     paired_rows,
     success_rows,
 )
+from tog_drake.record import chosen_region
 
 
 def by_group(rows):
@@ -92,12 +93,26 @@ def test_what_no_hand_can_hold_counts_and_is_listed_apart():
 
 def test_the_chosen_grasp_is_judged_apart_from_what_the_pads_hold():
     lines = [
-        make_line(0, closes_on={"head": 1.0}),
-        make_line(1, "slipped", seed=1, closes_on={"handle": 0.8, "head": 0.2}),
-        make_line(2, "no_choice", seed=2, closes_on=None),
+        make_line(0, chosen_closes_on={"head": 1.0}),
+        make_line(1, "slipped", seed=1, chosen_closes_on={"handle": 0.8, "head": 0.2}),
+        make_line(2, "no_choice", seed=2, chosen_closes_on=None, closes_on=None, choice=None),
+        make_line(3, "no_plan", seed=3, closes_on=None),
     ]
     row = by_group(success_rows(lines))["oracle", "all"]
-    assert (row["chosen_successes"], row["task_successes"], row["tasks"]) == (1, 1, 3)
+    assert (row["chosen_successes"], row["task_successes"], row["tasks"]) == (2, 1, 4)
+
+
+def test_a_line_of_an_older_run_says_of_the_chosen_grasp_no_more_than_it_knows():
+    def older(number, planned):
+        line = make_line(number, seed=number)
+        del line["record"]["chosen_closes_on"]
+        line["record"]["choice"]["planned_index"] = planned
+        return line
+
+    regions = [chosen_region(older(i, planned)["record"]) for i, planned in enumerate((4, 2, None))]
+    assert regions == [{"handle": 1.0}, None, None]
+    row = by_group(success_rows([older(0, 4), older(1, 2)]))["oracle", "all"]
+    assert (row["chosen_successes"], row["tasks"]) == (1, 2)
 
 
 def test_an_episode_that_serves_two_tasks_is_one_grasp():
@@ -114,7 +129,8 @@ def test_an_episode_that_serves_two_tasks_is_one_grasp():
 
 def test_a_task_that_says_nothing_of_parts_is_not_judged_but_a_broken_episode_is():
     silent = {"allowed": None, "task_compliance": None, "combined_success": None}
-    lines = [make_line(0, **silent), make_line(1, "broken", seed=1, closes_on=None, **silent)]
+    broken = make_line(1, "broken", seed=1, chosen_closes_on=None, **silent)
+    lines = [make_line(0, **silent), broken]
     row = by_group(success_rows(lines))["oracle", "all"]
     assert (row["n"], row["grasp"], row["tasks"], row["task"]) == (2, 0.5, 1, 0.0)
     row = by_group(success_rows(lines[:1]))["oracle", "all"]

@@ -204,6 +204,8 @@ def run_episode(
     record["attempts"] = attempts
     if between is not None:
         record["feasible_by_part"] = _feasible_by_part(world, between)
+        if decision.choice is not None:
+            record["chosen_closes_on"] = between[decision.choice.index]
         if decision.motion is not None:
             record["closes_on"] = between[decision.motion.grasp_index]
     if execution is None and wall > 0.0:  # earlier attempts were carried out

@@ -82,9 +82,12 @@ class EpisodeRecord(TypedDict):
     feasible_by_part: dict[str, int] | None
     """Part of the object -> feasible grasps that close on it to four fifths or more, by the labels;
     null: the stage was not reached."""
+    chosen_closes_on: dict[str, float] | None
+    """Part of the object -> its share of what is between the fingers of the chosen grasp, where the
+    object lay at the last look, by the labels; null: none was chosen."""
     closes_on: dict[str, float] | None
-    """Part of the object -> its share of what is between the fingers of the last grasp that was
-    carried out, before they close, by the labels; null: nothing was."""
+    """The same of the grasp that the motion carries out, which may be an alternative to the chosen
+    one; null: no motion was found."""
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
@@ -158,6 +161,7 @@ def new_record(
         turned=None,
         collisions=None,
         feasible_by_part=None,
+        chosen_closes_on=None,
         closes_on=None,
         allowed=None,
         lift=None,
@@ -208,6 +212,20 @@ def selector_name(record: EpisodeRecord) -> str:
     if vlm is None:
         return str(selector["kind"])
     return f"{selector['kind']} {vlm['strategy']} {vlm['model']}"
+
+
+def chosen_region(record: EpisodeRecord) -> Mapping[str, float] | None:
+    """Returns ``chosen_closes_on``; None where that is not known.
+
+    A record that was written before there was such a field says it of the grasp that was carried
+    out, and so of the chosen one where that is the same.
+    """
+    if "chosen_closes_on" in record:
+        return record["chosen_closes_on"]
+    choice = record["choice"]
+    if choice is None or choice["planned_index"] != choice["index"]:
+        return None
+    return record["closes_on"]
 
 
 def _choice_record(decision: Decision) -> ChoiceRecord | None:

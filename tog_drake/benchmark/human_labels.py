@@ -21,6 +21,7 @@ from tog_drake.benchmark.journal import LABELS, PICTURES, Line, episode_folder, 
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
+from tog_drake.record import chosen_region
 from tog_drake.visible_text import visible
 
 PICTURE = "grasp.jpg"  # in the folder of an episode: the chosen grasp alone
@@ -164,13 +165,13 @@ def _checked(content: Any, path: Path) -> dict[str, bool | None]:
 def agreements(lines: Sequence[Line], labels: Mapping[str, bool | None]) -> dict[str, Agreement]:
     """Returns how those agree who judged whether the chosen grasp suits the task.
 
-    The geometric judge is the one of the region that the grasp closes on; see ``judge.complies``.
+    The geometric judge is the one of the region that this grasp closes on; see ``judge.complies``.
     """
     said: dict[str, dict[str, bool]] = {"geometry": {}, "model": {}, "people": {}}
     for line in lines:
         name, record, judge = identifier(line), line["record"], line["judge"]
-        closes_on = record["closes_on"]
-        by_labels = None if closes_on is None else complies(closes_on, record["allowed"])
+        region = chosen_region(record)
+        by_labels = None if region is None else complies(region, record["allowed"])
         by_model = None if judge is None else judge["complies"]
         for who, suits in (
             ("geometry", by_labels),

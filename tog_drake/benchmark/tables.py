@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tog_drake.benchmark.statistics import Rate, mcnemar
 from tog_drake.judge import complies
-from tog_drake.record import EpisodeRecord
+from tog_drake.record import EpisodeRecord, chosen_region
 
 if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
@@ -50,10 +50,10 @@ def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
     """Returns the rates of each method in each group; see ``RATES``.
 
     ``grasp`` and ``strict`` are shares of the ``n`` episodes that were run, the others of the
-    ``tasks`` that they were judged for: as many, but for a method that does not read the task. An
-    episode that ended early counts as a failure of each; a task that does not say what may be held
-    is not judged. ``_low`` and ``_high`` bound a rate with 95 % confidence (Wilson 1927); of
-    nothing judged they are None.
+    ``tasks`` that they were judged for: as many, but for a method that does not read the task. Of
+    what an episode did not come to it is a failure: without a choice of each rate, without a motion
+    of each but ``chosen``; a task that does not say what may be held is not judged. ``_low`` and
+    ``_high`` bound a rate with 95 % confidence (Wilson 1927); of nothing judged they are None.
 
     Args:
         lines: the episodes.
@@ -123,7 +123,7 @@ def succeeded(line: "Line", rate: str) -> bool:
     """Returns whether an episode is a success of this rate; see ``RATES``."""
     record = line["record"]
     if rate == "chosen":
-        return bool(complies(record["closes_on"] or {}, record["allowed"]))
+        return bool(complies(chosen_region(record) or {}, record["allowed"]))
     key = {"grasp": "grasp_success", "strict": "strict_success", "task": "task_compliance"}
     values: Mapping[str, Any] = record
     return bool(values[key.get(rate, "combined_success")])
