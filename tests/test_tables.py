@@ -10,7 +10,7 @@ from tog_drake.benchmark.failures import agreement, failure_rows, motion_rows, r
 from tog_drake.benchmark.statistics import Rate, mcnemar, wilson
 from tog_drake.benchmark.tables import (
     candidate_rows,
-    in_order,
+    in_table_order,
     methods_of,
     paired_rows,
     success_rows,
@@ -259,7 +259,7 @@ def test_what_decisions_took_tells_live_questions_from_replayed_ones():
 def test_the_parts_of_a_run_come_back_in_its_order():
     lines = [make_line(i, method=m) for i, m in enumerate("cab")]
     assert methods_of(lines[::-1]) == ["c", "a", "b"]
-    assert in_order(lines[::-1]) == lines
+    assert in_table_order(lines[::-1]) == lines
 
 
 LINES = st.lists(

@@ -106,7 +106,7 @@ def read_run(folder: Path) -> Run:
     lines: list[Line] = []
     if (folder / EPISODES).exists():
         lines, _ = _whole_episodes((folder / EPISODES).read_bytes(), folder / EPISODES)
-    return Run(folder, config, _in_order(lines))
+    return Run(folder, config, _in_run_order(lines))
 
 
 class Journal:
@@ -152,7 +152,7 @@ class Journal:
         self._file.write("".join(json.dumps(line) + "\n" for line in lines).encode())
         self._file.flush()
         os.fsync(self._file.fileno())
-        self.lines = _in_order([*self.lines, *lines])
+        self.lines = _in_run_order([*self.lines, *lines])
 
     def _lock(self) -> None:
         try:
@@ -194,7 +194,7 @@ class Journal:
         if size < len(data):
             self._file.truncate(size)
             os.fsync(self._file.fileno())
-        return _in_order(lines)
+        return _in_run_order(lines)
 
 
 def differences(was: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
@@ -262,5 +262,5 @@ def _whole_episodes(data: bytes, file: Path) -> tuple[list[Line], int]:
     return lines, size
 
 
-def _in_order(lines: Sequence[Line]) -> list[Line]:
+def _in_run_order(lines: Sequence[Line]) -> list[Line]:
     return sorted(lines, key=lambda line: line["cell"]["number"])  # stable: tasks as written

@@ -55,7 +55,7 @@ def in_processes(
         pool.end()
 
 
-def in_order(
+def in_job_order(
     jobs: Sequence[Job], ended: Iterable[tuple[Job, T | Broken]]
 ) -> Generator[T, None, None]:
     """Yields the results in the order of the jobs.

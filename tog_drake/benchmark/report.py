@@ -21,7 +21,7 @@ from tog_drake.benchmark.sheets import Sheet, shown
 from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
 from tog_drake.benchmark.suite import suite_files
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
-from tog_drake.benchmark.tables import in_order, methods_of, runs_of
+from tog_drake.benchmark.tables import in_table_order, methods_of, runs_of
 from tog_drake.files import write_atomically
 from tog_drake.scenario import scenario_files
 
@@ -176,7 +176,7 @@ def _gallery(runs: Sequence[Run]) -> tuple[dict[str, Any], str]:
     shown_cards = [
         card
         for run in runs
-        for card in cards(Run(run.folder, run.config, in_order(run.lines)), pictures, replays)
+        for card in cards(Run(run.folder, run.config, in_table_order(run.lines)), pictures, replays)
     ]
     encoded, (viewer, packed) = pictures.encoded(), replays.packed()
     missing = {

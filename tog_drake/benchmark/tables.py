@@ -36,14 +36,14 @@ GROUPS = ("category", "scenario", "object", "task")
 Rows = list[dict[str, Any]]
 
 
-def in_order(lines: Iterable["Line"]) -> list["Line"]:
+def in_table_order(lines: Iterable["Line"]) -> list["Line"]:
     """Returns the lines in the order of the run, in whatever order its episodes ended."""
     return sorted(lines, key=lambda line: (line["cell"]["number"], line["cell"]["task"]))
 
 
 def methods_of(lines: Iterable["Line"]) -> list[str]:
     """Returns the methods in the order of the run."""
-    return list(dict.fromkeys(line["cell"]["method"] for line in in_order(lines)))
+    return list(dict.fromkeys(line["cell"]["method"] for line in in_table_order(lines)))
 
 
 def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
@@ -60,7 +60,7 @@ def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
         by: one of ``GROUPS``; by category, the paper's together are a group besides.
     """
     rows: Rows = []
-    lines = in_order(lines)
+    lines = in_table_order(lines)
     some_beyond = any(line["cell"]["beyond"] for line in lines)
     for method in methods_of(lines):
         groups: dict[str, list[Line]] = {}
@@ -160,7 +160,7 @@ def paired_rows(lines: Sequence["Line"]) -> Rows:
     the grasp, whatever number of tasks it is judged for; of a method that does, the episode of the
     first task stands beside it. ``p`` is McNemar's exact test.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
+    counted = [line for line in in_table_order(lines) if line["cell"]["category"] in PAPER]
     return [
         row
         for first, second in combinations(methods_of(lines), 2)
@@ -203,7 +203,7 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
     A row has the ``base``, the method without its K; ``k``, a number or "auto"; and of "auto" how
     often it chose which K (``chosen_k``), "none" where there was nothing to choose from.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
+    counted = [line for line in in_table_order(lines) if line["cell"]["category"] in PAPER]
     bases: dict[str, dict[str, list[Line]]] = {}
     for line in counted:
         if line["cell"]["k"] is not None:
