@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tog_drake.episode import build_world, look, run_episode
+from tog_drake.episode import run_episode
 from tog_drake.judge import Verdict
 from tog_drake.pipeline import make_proposer
 from tog_drake.scenario import load_scenario
@@ -18,6 +18,7 @@ from tog_drake.selectors.baselines import TopScore
 from tog_drake.selectors.oracle import Oracle
 from tog_drake.sharing import Execution, SharedWork, execution_key, look_key, world_key
 from tog_drake.values import GraspMotion
+from tog_drake.world import build_world, look
 
 VERDICT = Verdict("lifted", None, {"head": 1.0}, True, 0.15, 3.0, {})
 EXECUTION = Execution(VERDICT, opening=0.02, executed=8.1, wall=4.0, end=9.1)

@@ -15,7 +15,6 @@ from rich.progress import Progress
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.benchmark.processes import in_job_order, in_processes
-from tog_drake.episode import build_world, look
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.options import SelectorOptions, put_k
 from tog_drake.pipeline import make_selector
@@ -26,6 +25,7 @@ from tog_drake.selectors.vlm.batch import Export, custom_id, how_to_send
 from tog_drake.selectors.vlm.batch_answers import read_answers
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.request import QuestionPending, Request
+from tog_drake.world import build_world, look
 
 
 @dataclass

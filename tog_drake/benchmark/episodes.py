@@ -14,7 +14,7 @@ from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import Trial
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
-from tog_drake.episode import Episode, enter_compliance, load_objects, run_episode
+from tog_drake.episode import Episode, enter_compliance, run_episode
 from tog_drake.errors import InputError
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
@@ -24,6 +24,7 @@ from tog_drake.scenario import Scenario
 from tog_drake.sharing import SharedWork
 from tog_drake.visualization import make_meshcat
 from tog_drake.vlm_record import exchanges_of
+from tog_drake.world import load_objects
 
 
 @dataclass(frozen=True)
