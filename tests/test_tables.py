@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from run_folder import make_exchange, make_line, make_vlm
 
 from tog_drake.benchmark.costs import cost_rows
-from tog_drake.benchmark.failures import agreement, failure_rows, motion_rows, rejection_rows
+from tog_drake.benchmark.failures import failure_rows, fingers_and_pads, motion_rows, rejection_rows
 from tog_drake.benchmark.statistics import Rate, mcnemar, wilson
 from tog_drake.benchmark.tables import (
     candidate_rows,
@@ -227,6 +227,17 @@ def test_like_motions_are_one():
     ]  # fmt: skip
 
 
+def test_numbers_in_a_reason_are_left_out_but_not_those_in_a_name():
+    says = "{} N on ycb_{}_mustard at {} s (attempt 3/5), after {}e-05 m; K2 is 0.5."
+    messages = [says.format(31, "006", "2.25", 1), says.format(7, "006", "1.5", 3)]
+    messages.append(says.format(7, "007", "1.5", 3))
+    lines = [make_line(i, "empty", message=message) for i, message in enumerate(messages)]
+    assert [(row["reason"], row["n"]) for row in failure_rows(lines)] == [
+        ("# N on ycb_006_mustard at # s (attempt #/#), after # m; K2 is #.", 2),
+        ("# N on ycb_007_mustard at # s (attempt #/#), after # m; K2 is #.", 1),
+    ]
+
+
 def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held():
     clear, mixed = {"head": 0.9, "body": 0.1}, {"head": 0.6, "body": 0.4}
     lines = [
@@ -237,7 +248,7 @@ def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held
         make_line(4, held={"head": 0.52, "body": 0.48}, closes_on={"body": 1.0}),  # a tie
         make_line(5, held={"head": 0.6, "body": 0.4}, closes_on={"body": 1.0}),
     ]
-    assert agreement(lines) == {"n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3}
+    assert fingers_and_pads(lines) == {"n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3}
 
 
 def test_what_decisions_took_tells_live_questions_from_replayed_ones():
@@ -282,7 +293,7 @@ LINES = st.lists(
 def test_no_table_depends_on_the_order_in_which_episodes_ended(lines, order):
     shuffled = random.Random(order.random()).sample(lines, len(lines))
     for table in (success_rows, paired_rows, candidate_rows, failure_rows, rejection_rows,
-                  motion_rows, cost_rows, agreement):  # fmt: skip
+                  motion_rows, cost_rows, fingers_and_pads):  # fmt: skip
         assert table(shuffled) == table(lines)
 
 

@@ -99,7 +99,7 @@ def evaluate_(
     """
     from tog_drake.benchmark.episodes import EpisodeWork
     from tog_drake.benchmark.journal import SHARED, Journal
-    from tog_drake.benchmark.judging import VlmJudge
+    from tog_drake.benchmark.judging import vlm_judge
     from tog_drake.benchmark.runner import evaluate, run_config
     from tog_drake.benchmark.suite import load_suite
     from tog_drake.sharing import SharedWork
@@ -114,7 +114,7 @@ def evaluate_(
     work = EpisodeWork(shared, options, checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:
-        VlmJudge(judge)  # hears what is wrong before anything starts
+        vlm_judge(judge)  # hears what is wrong before anything starts
     with Journal(out, config, fresh=fresh) as journal:
         try:
             why = evaluate(
@@ -178,7 +178,7 @@ def label(
         agreements,
         export_sample,
         import_answers,
-        read_labels,
+        labels_of,
     )
     from tog_drake.benchmark.journal import read_run
 
@@ -193,7 +193,8 @@ def label(
         return
     known = import_answers(folder, answers)
     say(console, f"{known} grasps are judged by people")
-    found = agreements(read_run(folder).lines, read_labels(folder))
+    run = read_run(folder)
+    found = agreements(run.lines, labels_of(run))
     for who, same in found.items():
         kappa = "not defined" if same.kappa is None else f"{same.kappa:.2f}"
         share = "" if same.agree is None else f"{same.agree:.0%} of "
@@ -250,7 +251,7 @@ def _methods(
 
 def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, Any]":
     """Prints who proposed and the tables of what came of it; returns them for a program."""
-    from tog_drake.benchmark.failures import agreement, failure_rows
+    from tog_drake.benchmark.failures import failure_rows, fingers_and_pads
     from tog_drake.benchmark.tables import paired_rows, success_rows
     from tog_drake.selectors.oracle import ORACLE_NOTE
 
@@ -258,14 +259,14 @@ def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, 
         "rows": success_rows(lines),
         "pairs": paired_rows(lines),
         "failures": failure_rows(lines),
-        "agreement": agreement(lines),
+        "fingers_and_pads": fingers_and_pads(lines),
     }
     if not lines:
         return found
     print_origins(console, [line["record"]["proposer"] for line in lines])
     print_rates(console, found["rows"])
     print_failures(console, found["failures"])
-    same = found["agreement"]
+    same = found["fingers_and_pads"]
     say(
         console,
         f"the part between the fingers is the one that the pads press in {same['agree']} of "

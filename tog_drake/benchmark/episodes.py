@@ -10,7 +10,7 @@ import numpy as np
 from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.benchmark.human_labels import PICTURE
 from tog_drake.benchmark.journal import JudgeRecord, Line, Result
-from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
+from tog_drake.benchmark.judging import grasp_pictures, vlm_judge
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import Trial
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
@@ -73,7 +73,7 @@ class EpisodeWork:
         return Result(lines, files_of(episode))
 
     def _judged(self, decision: Decision, trial: Trial) -> JudgeRecord | None:
-        return None if self.judge is None else VlmJudge(self.judge).judge(decision, trial.task)
+        return None if self.judge is None else vlm_judge(self.judge).judge(decision, trial.task)
 
     def broken(self, cell: Cell, broken: Broken) -> Result:
         """Returns the lines of a cell in which the program itself failed, and why."""

@@ -11,6 +11,8 @@ from tog_drake.judge import COMPLIANT_SHARE
 if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
 
+_NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[-+]?\d+)?(?!\.?\w)")
+"""A number that stands alone: the one in ycb_006_mustard_bottle is part of a name."""
 _TIE = 0.05  # by which a share may be smaller than the greatest and count as great
 
 
@@ -97,7 +99,7 @@ def motion_rows(lines: Sequence["Line"]) -> Rows:
 
 
 def _alike(text: str) -> str:
-    return re.sub(r"\d+(\.\d+)?", "#", text)
+    return _NUMBER.sub("#", text)
 
 
 def _greatest(shares: Mapping[str, float]) -> set[str]:
@@ -106,7 +108,7 @@ def _greatest(shares: Mapping[str, float]) -> set[str]:
     return {part for part, share in shares.items() if share > most - _TIE}
 
 
-def agreement(lines: Sequence["Line"]) -> dict[str, int]:
+def fingers_and_pads(lines: Sequence["Line"]) -> dict[str, int]:
     """Returns how the part between the fingers agrees with the one that the pads then press.
 
     Of the episodes that were lifted (``n``; one whatever number of tasks it is judged for):

@@ -6,6 +6,7 @@ it stands beside the judge that reads the labels, and does not replace it.
 """
 
 import time
+from functools import cache
 
 import numpy as np
 
@@ -80,6 +81,15 @@ class VlmJudge:
             cost=sum(known) if len(known) == len(costs) else None,
             seconds=round(sum(exchange.seconds for exchange in dialogue.exchanges), 3),
         )
+
+
+@cache
+def vlm_judge(wanted: str) -> VlmJudge:
+    """Returns the judge of a model: one, however many grasps a process has to be judged.
+
+    Raises as ``VlmJudge``.
+    """
+    return VlmJudge(wanted)
 
 
 def grasp_pictures(decision: Decision) -> tuple[Image, Image] | None:

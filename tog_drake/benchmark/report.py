@@ -10,12 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import jinja2
-
 from tog_drake.benchmark.detail_sheets import detail_sheets
 from tog_drake.benchmark.figures import candidate_figure
 from tog_drake.benchmark.gallery import Pictures, Replays, cards
-from tog_drake.benchmark.human_labels import read_labels
+from tog_drake.benchmark.human_labels import labels_of
 from tog_drake.benchmark.journal import Run, read_run
 from tog_drake.benchmark.sheets import Sheet, shown
 from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
@@ -23,10 +21,10 @@ from tog_drake.benchmark.suite import suite_files
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
 from tog_drake.benchmark.tables import in_table_order, methods_of, runs_of
 from tog_drake.files import write_atomically
+from tog_drake.pages import page_environment
 from tog_drake.scenario import scenario_files
 
 PAGE = "report.html"
-_TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
 def write_benchmark_report(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -68,7 +66,7 @@ def _names(runs: Sequence[Run]) -> list[str]:
 
 
 def _sheets(run: Run) -> list[Sheet]:
-    return success_sheets(run.lines) + detail_sheets(run.lines, read_labels(run.folder))
+    return success_sheets(run.lines) + detail_sheets(run.lines, labels_of(run))
 
 
 def _page(
@@ -77,24 +75,21 @@ def _page(
     sheets: Mapping[str, Sequence[Sheet]],
     scenes: Sheet | None,
 ) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
     lines = [line for run in runs for line in run.lines]
     methods = dict.fromkeys(method for run in runs for method in methods_of(run.lines))
     gallery, left_out = _gallery(runs)
-    return environment.get_template("benchmark.html.j2").render(
-        title=shown(f"Grasping by task: {', '.join(names)}"),
-        summary=f"{len(lines)} tasks, {sum(len(runs_of(run.lines)) for run in runs)} episodes, "
-        f"{len(methods)} methods",
-        scenes=scenes,
-        runs=[_part(name, run, sheets[name]) for name, run in zip(names, runs, strict=True)],
-        gallery=gallery,
-        left_out=left_out,
+    return (
+        page_environment()
+        .get_template("benchmark.html.j2")
+        .render(
+            title=shown(f"Grasping by task: {', '.join(names)}"),
+            summary=f"{len(lines)} tasks, {sum(len(runs_of(run.lines)) for run in runs)} episodes, "
+            f"{len(methods)} methods",
+            scenes=scenes,
+            runs=[_part(name, run, sheets[name]) for name, run in zip(names, runs, strict=True)],
+            gallery=gallery,
+            left_out=left_out,
+        )
     )
 
 
