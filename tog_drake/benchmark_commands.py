@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.method import Method
     from tog_drake.benchmark.runner import Parallel
 
-_MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
-
 
 @spread(without=["selector", "strategy", "vlm"])
 def evaluate_(
@@ -97,12 +95,14 @@ def evaluate_(
 
     Whatever stops it, the same command again goes on where it was.
     """
+    from dataclasses import replace
+
     from tog_drake.benchmark.episodes import EpisodeWork
+    from tog_drake.benchmark.identity import run_config
     from tog_drake.benchmark.journal import SHARED, Journal
     from tog_drake.benchmark.judging import vlm_judge
-    from tog_drake.benchmark.runner import evaluate, run_config
+    from tog_drake.benchmark.runner import evaluate
     from tog_drake.benchmark.suite import load_suite
-    from tog_drake.sharing import SharedWork
 
     console = console_for(as_json)
     check_folder(out)
@@ -110,8 +110,7 @@ def evaluate_(
     methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
     cells = runs.cells(loaded, methods)
     parallel, count = _parallel(workers)
-    shared = (out / SHARED).resolve()
-    work = EpisodeWork(shared, options, checkpoint, judge, replays)
+    work = EpisodeWork((out / SHARED).resolve(), options, checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:
         vlm_judge(judge)  # hears what is wrong before anything starts
@@ -119,7 +118,7 @@ def evaluate_(
         try:
             why = evaluate(
                 cells,
-                work,
+                replace(work, asked=config),
                 journal,
                 workers=count,
                 console=console,
@@ -128,7 +127,6 @@ def evaluate_(
                 parallel=parallel,
             )
         finally:
-            SharedWork(shared).prune(_MAX_SHARED)
             found = _print_successes(console, journal.lines)
     if why is not None:
         say(console, why)

@@ -15,7 +15,13 @@ from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import Grasps
-from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
+from tog_drake.vlm_record import (
+    ExchangeRecord,
+    VlmRecord,
+    exchange_records,
+    exchanges_of,
+    vlm_record,
+)
 
 SCHEMA = "tog_drake/episode/1"
 """Name and version; the number changes when a field changes its meaning or goes away."""
@@ -249,7 +255,7 @@ def attempt_record(decision: Decision) -> AttemptRecord:
     """Returns what a decision says of its attempt; what the hand felt is not known yet."""
     return AttemptRecord(
         choice=_choice_record(decision),
-        exchanges=exchange_records(decision),
+        exchanges=exchange_records(exchanges_of(decision)),
         motion=_motion_record(decision),
         opening=None,
         message=None if decision.error is None else str(decision.error),

@@ -25,6 +25,7 @@ from tog_drake.pages import page_environment
 from tog_drake.scenario import scenario_files
 
 PAGE = "report.html"
+_DIGESTS = ("files", "scenarios", "objects")  # of a run.json
 
 
 def write_benchmark_report(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -111,13 +112,15 @@ def _facts(run: Run) -> dict[str, str]:
     """What was asked for, in words."""
     said: dict[str, str] = {}
     for key, value in run.config.items():
-        if key in ("schema", "suite", "suite_sha256", "scenarios", "objects") or not value:
+        if key in ("schema", "suite", "suite_sha256", "program", *_DIGESTS) or not value:
             continue
         if text := _said(value):
             said[key.replace("_", " ").capitalize()] = text
-    files = [f"{len(run.config[of])} {of}" for of in ("scenarios", "objects") if of in run.config]
+    files = [f"{len(run.config[of])} {of}" for of in _DIGESTS if run.config.get(of)]
     if files:
         said["Files"] = f"suite, {', '.join(files)}: the SHA-256 of each is in run.json"
+    if program := run.config.get("program"):
+        said["Program"] = f"SHA-256 {str(program)[:12]}..."
     started = methods_of(run.lines)
     waiting = [name for name in run.config.get("methods", ()) if name not in started]
     if waiting:
