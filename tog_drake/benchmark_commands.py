@@ -5,17 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tog_drake.benchmark.options import MethodOptions, SuiteArgument, SuiteOptions
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
-from tog_drake.options import (
-    MODEL_HELP,
-    JsonOption,
-    SelectorOptions,
-    SuiteArgument,
-    SuiteOptions,
-    names,
-    spread,
-)
+from tog_drake.options import JsonOption, SelectorOptions
+from tog_drake.spread import spread
 from tog_drake.terminal import (
     console_for,
     print_failures,
@@ -31,37 +25,18 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tog_drake.benchmark.journal import Line
-    from tog_drake.benchmark.method import Method
     from tog_drake.benchmark.runner import Parallel
+
+_DECIDE_NOTHING = ("workers", "limit", "max_cost", "replays", "out", "fresh", "as_json")
+"""Options of a run that no result depends on."""
 
 
 @spread(without=["selector", "strategy", "vlm"])
 def evaluate_(
+    context: typer.Context,
     suite: SuiteArgument,
     *,
-    selectors: Annotated[
-        str | None,
-        typer.Option(
-            help="Comma-separated: top-score, random, oracle, geometric, vlm; by default "
-            "top-score,oracle, or vlm where a model is named."
-        ),
-    ] = None,
-    strategies: Annotated[
-        str | None,
-        typer.Option(help="How models are asked, comma-separated: gsi, cpsi ...; see tog prompts."),
-    ] = None,
-    vlm: Annotated[
-        list[str] | None, typer.Option(help=f"{MODEL_HELP} Or replay:FILE. Once for each.")
-    ] = None,
-    proposers: Annotated[
-        str | None, typer.Option(help="Who suggests grasps, comma-separated, as of tog run.")
-    ] = None,
-    k: Annotated[
-        str | None, typer.Option(help="How many candidates, comma-separated: 2,3,auto.")
-    ] = None,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="File of weights for the proposer contact-graspnet.")
-    ] = None,
+    compared: MethodOptions,
     options: SelectorOptions,
     runs: SuiteOptions,
     judge: Annotated[
@@ -99,7 +74,7 @@ def evaluate_(
 
     from tog_drake.benchmark.episodes import EpisodeWork
     from tog_drake.benchmark.identity import run_config
-    from tog_drake.benchmark.journal import SHARED, Journal
+    from tog_drake.benchmark.journal import COMMAND, SHARED, Journal
     from tog_drake.benchmark.judging import vlm_judge
     from tog_drake.benchmark.runner import evaluate
     from tog_drake.benchmark.suite import load_suite
@@ -107,14 +82,15 @@ def evaluate_(
     console = console_for(as_json)
     check_folder(out)
     loaded = load_suite(suite, runs.scenario_text)
-    methods = _methods(selectors, strategies, vlm or [], proposers, k, checkpoint, options)
+    methods = compared.methods(options)
     cells = runs.cells(loaded, methods)
     parallel, count = _parallel(workers)
-    work = EpisodeWork((out / SHARED).resolve(), options, checkpoint, judge, replays)
+    shared = (out / SHARED).resolve()
+    work = EpisodeWork(shared, options, compared.checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:
         vlm_judge(judge)  # hears what is wrong before anything starts
-    with Journal(out, config, fresh=fresh) as journal:
+    with Journal(out, {**config, COMMAND: command_words(context)}, fresh=fresh) as journal:
         try:
             why = evaluate(
                 cells,
@@ -200,6 +176,23 @@ def label(
     print_json(as_json, {"judged": known, "agreement": {w: asdict(s) for w, s in found.items()}})
 
 
+def command_words(context: typer.Context) -> list[str]:
+    """Returns the words of a `tog eval`, with all options that decide what comes of it."""
+    words = ["tog", "eval"]
+    for option in context.command.params:
+        name, value = str(option.name), context.params.get(str(option.name))
+        source = context.get_parameter_source(name)
+        if name in _DECIDE_NOTHING or source is None or source.name == "DEFAULT":
+            continue
+        said = option.opts[:1] if option.param_type_name == "option" else []
+        if value is True:
+            words += said
+        else:
+            values = value if isinstance(value, list | tuple) else [value]
+            words += [word for each in values for word in (*said, str(each))]
+    return words
+
+
 def _parallel(workers: str) -> "tuple[Parallel, int]":
     """Returns how to work on several cells at once, and on how many."""
     from tog_drake.benchmark.processes import in_processes
@@ -212,39 +205,6 @@ def _parallel(workers: str) -> "tuple[Parallel, int]":
     if not workers.isascii() or not workers.isdecimal() or int(workers) < 1:
         raise InputError(f"--workers {workers!r}; valid: 1 or more, ray or ray:ADDRESS")
     return in_processes, int(workers)
-
-
-def _methods(
-    selectors: str | None,
-    strategies: str | None,
-    models: "list[str]",
-    proposers: str | None,
-    k: str | None,
-    checkpoint: Path | None,
-    options: SelectorOptions,
-) -> "list[Method]":
-    from tog_drake.benchmark.method import make_methods
-
-    names_model = bool(models) or options.names_model
-    chosen = names(selectors or ("vlm" if names_model else "top-score,oracle"))
-    given = [*options.given(), *["--strategies"] * bool(strategies), *["--vlm"] * bool(models)]
-    if "vlm" not in chosen and given:
-        raise InputError(
-            f"{', '.join(given)}: only a model is asked so; valid: with vlm among the --selectors"
-        )
-    methods = make_methods(
-        chosen,
-        strategies=names(strategies) if strategies else [],
-        models=models,
-        proposers=names(proposers) if proposers else [],
-        ks=names(k) if k else [],
-    )
-    if checkpoint is not None and not any(method.takes_weights for method in methods):
-        raise InputError(
-            f"--checkpoint {checkpoint} is for contact-graspnet, not for {proposers}; valid: with "
-            "contact-graspnet among the --proposers"
-        )
-    return methods
 
 
 def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, Any]":

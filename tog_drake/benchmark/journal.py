@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 SCHEMA = "tog_drake/run/1"
 """Name and version of a run's folder; the number changes when a field changes its meaning."""
 RUN, EPISODES, REJECTED, PICTURES = "run.json", "episodes.jsonl", "rejected.jsonl", "episodes"
+COMMAND = "command"
+"""Field of a ``run.json``: the words that run the same again. It is not compared: others may say
+the same, such as by another way to a file."""
 SHARED = "shared"  # folder of what episodes share
 LABELS = "labels.json"  # what people said of the grasps, see human_labels
 MAX_RUN = 10_000_000  # [byte] of run.json; ours have a few thousand
@@ -236,7 +239,7 @@ def differences(was: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     return [
         f"{name} was {old.get(name, 'not there')}, asked is {new.get(name, 'none')}"
         for name in dict.fromkeys([*old, *new])
-        if old.get(name) != new.get(name)
+        if name != COMMAND and old.get(name) != new.get(name)
     ]
 
 

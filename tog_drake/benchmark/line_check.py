@@ -109,6 +109,7 @@ LINE = {"cell": _CELL, "record": _RECORD, "judge": Maybe(_JUDGE)}
 CONFIG = {
     "schema": str,
     "suite": str,
+    "command": Later(Each(list, str)),
     "methods": Later(Each(list, str)),
     "seeds": Later(int),
     "noise": Later(bool),
