@@ -7,9 +7,9 @@ import sys
 
 from pydrake.systems.analysis import Simulator
 
-from tog_drake.episode import build_world
 from tog_drake.scenario import load_scenario
 from tog_drake.visualization import draw_decision, make_meshcat
+from tog_drake.world import build_world
 
 # A scenario says what is in the world and how each stage of the pipeline is set up.
 scenario = load_scenario("Hammer", "simulator_config: {target_realtime_rate: 1.0}")

@@ -57,8 +57,13 @@ class MadeUpWork:
         if trouble == "dies":
             os.kill(os.getpid(), signal.SIGKILL)
         digest = hashlib.sha256(cell.name.encode()).digest()
+        if trouble == "breaks":  # and says so itself, with what it has asked
+            return self._lines(cell, "broken", b"\0\0", message="a defect")
         outcome = trouble or ("lifted", "slipped", "no_grasp")[digest[0] % 3]
         return self._lines(cell, outcome, digest)
+
+    def others(self, cell):
+        return []
 
     def broken(self, cell, broken):
         return self._lines(cell, "broken", b"\0\0", message=broken.message)

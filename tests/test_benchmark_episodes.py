@@ -6,12 +6,15 @@ import json
 
 import cv2
 import numpy as np
+from vlm_server import VlmServer
 
 from tog_drake.benchmark.cells import make_cells
+from tog_drake.benchmark.costs import exchanges
 from tog_drake.benchmark.episodes import EpisodeWork
 from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import load_suite
+from tog_drake.judge import Judge
 from tog_drake.record import OUTCOMES, EpisodeRecord
 
 
@@ -59,3 +62,22 @@ def test_a_broken_episode_has_a_whole_record_and_its_traceback_in_a_file(tmp_pat
             assert (record["noise"], record["seed"], record["object"]) == (True, 0, "mug")
         assert result.files == {"traceback.txt": b"Traceback: no"}
     assert "broken" in OUTCOMES
+
+
+def test_what_a_model_was_asked_before_the_program_failed_is_told_with_its_price(
+    tmp_path, monkeypatch
+):
+    def fails(judge):
+        raise ZeroDivisionError("one by nothing")
+
+    monkeypatch.setattr(Judge, "start_over", fails)
+    with VlmServer(lambda text, images: json.dumps({"label": "1"}), key=None) as server:
+        method = Method("vlm", strategy="gsi", vlm=server.specification("openai"))
+        cell = make_cells(load_suite("Hammer"), [method], [0])[0]
+        result = EpisodeWork(tmp_path)(cell)
+    (line,) = result.lines
+    assert line["record"]["outcome"] == "broken"
+    assert line["record"]["message"] == "ZeroDivisionError: one by nothing"
+    (exchange,) = exchanges(line)
+    assert exchange["tokens"] is not None
+    assert b"in fails" in result.files["traceback.txt"]

@@ -1,11 +1,14 @@
 import csv
 import gzip
+import html
 import io
 import json
 import re
+import shlex
 
 import numpy as np
 import pytest
+import typer
 from browser import ENTER, ESCAPE, TAB, browser, needs_browser
 from command import refused, tog
 from hypothesis import given
@@ -16,11 +19,13 @@ from run_folder import make_exchange, make_line, write_run
 from tog_drake.benchmark import gallery
 from tog_drake.benchmark.figures import candidate_figure
 from tog_drake.benchmark.gallery import Pictures, Replays
-from tog_drake.benchmark.journal import EPISODES, read_run
+from tog_drake.benchmark.journal import EPISODES, differences, read_run
 from tog_drake.benchmark.report import command, write_benchmark_report
 from tog_drake.benchmark.sheets import Share, make_sheet
 from tog_drake.benchmark.success_sheets import main_sheet, published_share, scene_sheet
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
+from tog_drake.benchmark_commands import command_words
+from tog_drake.cli import app
 from tog_drake.errors import InputError
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)> \u202egnorw {{ 7*7 }}"
@@ -41,7 +46,7 @@ def some_lines():
         make_line(4, "slipped", seed=1, task="hold it", method="vlm cpg m", selector="vlm",
                   strategy="cpg", vlm="m", object="mug", exchanges=[make_exchange("Mark 1.")]),
         make_line(5, "no_choice", seed=2, task="lift it", method="vlm cpg m", selector="vlm",
-                  strategy="cpg", vlm="m", closes_on=None, choice=None, motion=None,
+                  strategy="cpg", vlm="m", chosen_closes_on=None, choice=None, motion=None,
                   message="no number in the answer",
                   exchanges=[make_exchange(None, status="unreadable")]),
     ]  # fmt: skip
@@ -175,16 +180,51 @@ def test_the_page_tells_what_was_found_and_how_to_find_it_again(tmp_path):
     assert "By scenario" not in page  # of one scenario nothing is to be told apart
 
 
-def test_the_page_says_the_command_that_runs_the_same_again(tmp_path):
-    config = {"seeds": 2, "noise": True, "scenario_text": "robot: !DrakeModels {}", "judge": None,
-              "asked": {"rendering": "paper", "votes": None}}  # fmt: skip
-    run = read_run(write_run(tmp_path, some_lines(), suite="kitchen", **config))
-    assert command(run) == (
-        "tog eval kitchen --selectors oracle,vlm --strategies cpg --vlm m --seeds 2 "
-        "--scenario-text 'robot: !DrakeModels {}' --rendering paper --noise"
+def config_of(folder):
+    config = json.loads((folder / "run.json").read_text())
+    return config.pop("command"), config
+
+
+def begun(folder, *words):
+    """Begins a run of no episodes; returns what its ``run.json`` says."""
+    done = tog(*words, "--limit", 0, "--workers", 1, "--out", folder)
+    assert done.status == 0, done.err
+    return config_of(folder)
+
+
+def test_the_command_on_the_page_runs_the_same_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my suite.yaml").write_text(
+        "groups: [{objects: [mug], tasks: [{category: use, task: 'use the {object}'}]}]"
     )
-    mine = read_run(write_run(tmp_path, [make_line(0)], suite="mine", seeds=1))
-    assert command(mine) == "tog eval mine.yaml --selectors oracle --seeds 1"
+    model = "openai:any@http://127.0.0.1:9/v1"
+    text = "# what is said over several lines\npipeline:\n  candidates: {k_max: 5}\n"
+    asked = ["eval", "my suite.yaml", "--selectors", "random,vlm", "--strategies", "gsi,gmi",
+             "--vlm", model, "--vlm", "openai:other@http://127.0.0.1:9/v1", "--proposers",
+             "antipodal", "--k", "2,auto", "--profile", "pixels", "--rendering", "paper",
+             "--votes", 2, "--fallback", "geometric", "--deadline", 9.5, "--seeds", 2, "--noise",
+             "--scenario-text", text, "--judge", f"vlm:{model}"]  # fmt: skip
+    words, config = begun(tmp_path / "a", *asked)
+    assert config["scenario_text"] == text
+    page = html.unescape(page_of(tmp_path / "a").read_text())
+    (pasted,) = re.findall(r'<pre class="said"><code>(.*?)</code>', page, flags=re.S)
+    assert pasted == command(read_run(tmp_path / "a"))
+    assert shlex.split(pasted) == words == ["tog", *map(str, asked)]
+    assert begun(tmp_path / "b", *shlex.split(pasted)[1:]) == (words, config)
+
+
+def test_the_command_names_the_weights_and_is_not_what_tells_two_runs_apart(tmp_path):
+    tmp_path.joinpath("released.pt").write_bytes(b"weights")
+    eval_ = typer.main.get_command(app).commands["eval"]
+    words = ["builtin", "--checkpoint", str(tmp_path / "released.pt"), "--out", "x", "--fresh"]
+    context = eval_.make_context("eval", list(words))
+    assert command_words(context) == ["tog", "eval", *words[:3]]
+    assert differences({"command": ["a"], "seeds": 1}, {"command": ["b"], "seeds": 1}) == []
+
+
+def test_a_run_from_before_there_was_a_command_has_none_on_its_page(tmp_path):
+    assert command(read_run(run_of(tmp_path))) == ""
+    assert "<code>" not in page_of(tmp_path).read_text()
 
 
 def test_what_is_written_does_not_depend_on_the_order_in_which_episodes_ended(tmp_path):
@@ -201,25 +241,25 @@ def test_whatever_a_model_or_a_user_said_is_inert(tmp_path):
     said = make_exchange(HOSTILE, text=HOSTILE, message=HOSTILE, prompt=HOSTILE, status=HOSTILE)
     fields = ("method", "scenario", "object", "task", "category", "outcome", "message", "strategy")
     everywhere = dict.fromkeys(fields, HOSTILE)
-    choice = {"index": 1, "part": HOSTILE, "reason": HOSTILE}
+    choice = {"index": 1, "planned_index": 2, "part": HOSTILE, "reason": HOSTILE}
     judge = {"model": HOSTILE, "complies": None, "status": HOSTILE, "cost": None, "seconds": 1.0}
     line = make_line(0, exchanges=[said], choice=choice, held={HOSTILE: 1.0}, allowed=[HOSTILE],
-                     closes_on={HOSTILE: 1.0}, judge=judge, vlm=HOSTILE,
+                     chosen_closes_on={HOSTILE: 1.0}, judge=judge, vlm=HOSTILE,
                      **everywhere)  # fmt: skip
     page = page_of(run_of(tmp_path / "run", [line], suite=HOSTILE, version=HOSTILE))
     plain = page_of(run_of(tmp_path / "plain"))
-    html = page.read_text()
-    assert html.count("<script") == plain.read_text().count("<script") == 2
-    assert "<img" not in html and "\u202e" not in html and "{{ 7*7 }}" in html
+    text = page.read_text()
+    assert text.count("<script") == plain.read_text().count("<script") == 2
+    assert "<img" not in text and "\u202e" not in text and "{{ 7*7 }}" in text
     (card,) = data_of(page)["cards"]
     assert card["task"].startswith("</script><script>") and "\\u202e" in card["task"]
 
 
 def test_the_page_asks_nobody_for_anything(tmp_path):
-    html = page_of(run_of(tmp_path)).read_text()
-    assert "default-src data: blob:" in html
-    assert not re.findall(r"""(?:src|href)=["'](?!data:)""", html)
-    assert not re.search("https?:", html) and "@import" not in html and "url(" not in html
+    text = page_of(run_of(tmp_path)).read_text()
+    assert "default-src data: blob:" in text
+    assert not re.findall(r"""(?:src|href)=["'](?!data:)""", text)
+    assert not re.search("https?:", text) and "@import" not in text and "url(" not in text
 
 
 def test_a_picture_is_carried_once_and_small(tmp_path):

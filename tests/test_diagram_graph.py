@@ -6,9 +6,9 @@ from xml.etree import ElementTree
 import pytest
 
 from tog_drake.diagram_graph import dot, svg
-from tog_drake.episode import build_world
 from tog_drake.errors import InputError
 from tog_drake.scenario import load_scenario
+from tog_drake.world import build_world
 
 CHAIN = [
     "station", "camera", "cloud", "proposer", "feasibility", "candidates", "view_selector",

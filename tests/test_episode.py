@@ -1,18 +1,22 @@
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 from tiny_meshes import write_box_obj
 
+from tog_drake import episode
 from tog_drake.assets.importing import ImportOptions, import_mesh
-from tog_drake.episode import build_world, load_objects, run_episode
-from tog_drake.errors import InputError
+from tog_drake.episode import run_episode
+from tog_drake.errors import InputError, NoPlan
+from tog_drake.judge import complies
 from tog_drake.pipeline import decide
 from tog_drake.record import OUTCOMES, SCHEMA
 from tog_drake.scenario import load_scenario
 from tog_drake.visualization import make_meshcat
+from tog_drake.world import build_world, load_objects
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +142,18 @@ directives:
     default_free_body_pose: {{base: {{translation: [0.55, 0, 0.001]}}}}
 pipeline: {{selector: !Oracle {{}}}}
 """
+
+
+def test_what_the_chosen_grasp_closes_on_is_told_where_no_motion_to_it_was_found(monkeypatch):
+    def without_motion(*of):
+        return replace(decide(*of), motion=None, error=NoPlan("blocked"))
+
+    monkeypatch.setattr(episode, "decide", without_motion)
+    oracle = load_scenario("Hammer", "pipeline: {selector: !Oracle {}}")
+    record = run_episode(oracle, name="Hammer", task="hand me the hammer").record
+    assert (record["outcome"], record["closes_on"], record["held"]) == ("no_plan", None, {})
+    assert complies(record["chosen_closes_on"], record["allowed"])
+    assert not complies(record["chosen_closes_on"], ["handle"])
 
 
 def test_a_target_buried_under_something_else_is_no_grasp_and_says_that_it_is_hidden(tmp_path):

@@ -7,12 +7,12 @@ import pytest
 from tabletop import HAMMER_SIZED, TABLE, look
 from things import box, cloud, tube
 
-from tog_drake.episode import build_world
-from tog_drake.episode import look as first_look
 from tog_drake.grasp_check import PROBLEMS, check_grasps, check_image, turned
 from tog_drake.panda import GRASP_Z
 from tog_drake.scenario import load_scenario
 from tog_drake.values import Grasps, View
+from tog_drake.world import build_world
+from tog_drake.world import look as first_look
 
 HALF = 0.012  # [m]
 

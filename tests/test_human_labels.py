@@ -17,9 +17,9 @@ from tog_drake.benchmark.human_labels import (
     export_sample,
     identifier,
     import_answers,
-    read_labels,
+    labels_of,
 )
-from tog_drake.benchmark.journal import LABELS
+from tog_drake.benchmark.journal import LABELS, read_run
 from tog_drake.errors import InputError
 
 LINES = [
@@ -34,16 +34,27 @@ def run(folder, lines=LINES):
     for line in lines:
         place = folder / "episodes" / line["cell"]["name"]
         place.mkdir()
-        cv2.imwrite(str(place / PICTURE), np.full((40, 60, 3), 90, np.uint8))
+        draw(place / PICTURE)
     return folder
 
 
-def answers_of(tmp_path, *said):
-    file = tmp_path / "answers.jsonl"
-    file.write_text(
-        "".join(json.dumps({"id": identifier(line), "answer": a}) + "\n" for line, a in said)
-    )
+def draw(file, value=90):
+    cv2.imwrite(str(file), np.full((40, 60, 3), value, np.uint8))
+
+
+def answers_of(folder, *said):
+    """The file that the page of a run saves when this was said of its lines."""
+    file = folder / "answers.jsonl"
+    answers = []
+    for line, answer in said:
+        picture = (folder / "episodes" / line["cell"]["name"] / PICTURE).read_bytes()
+        answers.append({"id": identifier(line, picture), "answer": answer})
+    file.write_text("".join(json.dumps(answer) + "\n" for answer in answers))
     return file
+
+
+def about(line):
+    return line["cell"]["name"], line["cell"]["task"]
 
 
 def test_cohens_kappa_is_that_of_a_table_worked_by_hand():
@@ -90,9 +101,20 @@ def test_the_sample_is_drawn_by_the_seed(tmp_path):
 
 def test_answers_come_back_and_later_ones_replace_earlier_ones(tmp_path):
     folder = run(tmp_path / "run")
-    assert import_answers(folder, answers_of(tmp_path, (LINES[0], "yes"), (LINES[1], "no"))) == 2
-    assert import_answers(folder, answers_of(tmp_path, (LINES[1], "unclear"))) == 1
-    assert read_labels(folder) == {identifier(LINES[0]): True, identifier(LINES[1]): None}
+    assert import_answers(folder, answers_of(folder, (LINES[0], "yes"), (LINES[1], "no"))) == 2
+    assert import_answers(folder, answers_of(folder, (LINES[1], "unclear"))) == 1
+    assert labels_of(read_run(folder)) == {about(LINES[0]): True, about(LINES[1]): None}
+
+
+def test_what_was_said_of_a_picture_that_has_changed_is_refused_and_no_longer_counts(tmp_path):
+    folder = run(tmp_path / "run")
+    answers = answers_of(folder, (LINES[0], "yes"), (LINES[1], "no"))
+    assert import_answers(folder, answers) == 2
+    draw(folder / "episodes" / LINES[0]["cell"]["name"] / PICTURE, 91)
+    assert labels_of(read_run(folder)) == {about(LINES[1]): False}
+    with pytest.raises(InputError, match=r"its picture has changed since; valid"):
+        import_answers(folder, answers)
+    assert import_answers(folder, answers_of(folder, (LINES[0], "unclear"))) == 1
 
 
 @pytest.mark.parametrize(
@@ -109,11 +131,11 @@ def test_answers_come_back_and_later_ones_replace_earlier_ones(tmp_path):
 )
 def test_a_file_of_something_else_is_refused_and_nothing_is_lost(tmp_path, content):
     folder = run(tmp_path / "run")
-    import_answers(folder, answers_of(tmp_path, (LINES[0], "yes")))
+    import_answers(folder, answers_of(folder, (LINES[0], "yes")))
     before = (folder / LABELS).read_bytes()
-    (tmp_path / "answers.jsonl").write_text(content)
+    (folder / "answers.jsonl").write_text(content)
     with pytest.raises(InputError, match="valid"):
-        import_answers(folder, tmp_path / "answers.jsonl")
+        import_answers(folder, folder / "answers.jsonl")
     assert (folder / LABELS).read_bytes() == before
 
 
@@ -130,7 +152,7 @@ def test_who_agrees_with_whom_is_counted_where_both_have_judged(tmp_path):
         make_line(2, complies=False, judge={**said, "complies": False}),
         make_line(3, judge={**said, "complies": None}),
     ]
-    labels = {identifier(lines[0]): True, identifier(lines[1]): False, identifier(lines[2]): None}
+    labels = {about(lines[0]): True, about(lines[1]): False, about(lines[2]): None}
     found = agreements(lines, labels)
     assert (found["model and geometry"].n, found["model and geometry"].agree) == (3, 2 / 3)
     assert (found["people and geometry"].n, found["people and geometry"].agree) == (2, 1.0)

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
 from tog_drake.compliance import PartLabels
-from tog_drake.episode import load_objects
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, TURN, Judge, Sample, verdict_of
 from tog_drake.object_parts import load_parts
@@ -17,6 +16,7 @@ from tog_drake.record import OUTCOMES
 from tog_drake.resources import resource_dir
 from tog_drake.scenario import load_scenario
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.world import load_objects
 
 TWO = """
 directives:

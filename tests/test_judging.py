@@ -8,7 +8,7 @@ from test_strategies import bar_scene
 from test_vlm_selector import cloud_of, saying
 from vlm_server import KEY, Spoken
 
-from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
+from tog_drake.benchmark.judging import VlmJudge, grasp_pictures, vlm_judge
 from tog_drake.errors import InputError
 from tog_drake.pipeline import Decision
 from tog_drake.values import Choice, GraspMotion
@@ -72,9 +72,18 @@ def test_the_pictures_differ_by_the_one_hand_that_moved():
     assert plain.shape == drawn.shape
     changed = (plain != drawn).any(axis=2)
     assert 0.001 < changed.mean() < 0.2
-    _, of_motion = grasp_pictures(decision(4, motion=replace(GraspMotion.still(), grasp_index=0)))
-    _, of_choice = grasp_pictures(decision(0))
-    np.testing.assert_array_equal(of_motion, of_choice)
+
+
+def test_what_is_judged_is_the_chosen_grasp_also_where_another_one_is_carried_out():
+    _, drawn = grasp_pictures(decision(4))
+    other = replace(GraspMotion.still(), grasp_index=0)
+    np.testing.assert_array_equal(grasp_pictures(decision(4, motion=other))[1], drawn)
+    assert (grasp_pictures(decision(0))[1] != drawn).any()
+
+
+def test_a_process_has_one_judge_for_all_grasps_of_a_run():
+    assert vlm_judge("vlm:openai:gpt-6") is vlm_judge("vlm:openai:gpt-6")
+    assert vlm_judge("vlm:openai:gpt-7") is not vlm_judge("vlm:openai:gpt-6")
 
 
 @pytest.mark.parametrize("wanted", ["gemini:x", "vlm:", "vlm:nobody:x", ""])

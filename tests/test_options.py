@@ -7,7 +7,7 @@ from command import refused, tog
 from vlm_server import KEY_VARIABLES
 
 from tog_drake.errors import InputError
-from tog_drake.options import SelectorOptions, spread
+from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.strategies import STRATEGIES
@@ -16,6 +16,7 @@ from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.profiles import PROFILES
 from tog_drake.selectors.vlm.recorded import Recorded
 from tog_drake.selectors.vlm.selector import FALLBACKS, Vlm
+from tog_drake.spread import spread
 
 MODEL = "openai:any@http://127.0.0.1:9/v1"
 RUN = ("run", "--no-meshcat", "--task", "use the hammer")

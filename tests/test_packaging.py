@@ -16,6 +16,7 @@ import pytest
 import tog_drake
 
 ROOT = Path(__file__).resolve().parents[1]
+PROGRAM = "from tog_drake.sharing import program_digest; print(program_digest())"
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +131,18 @@ def test_the_installed_copy_lists_its_scenarios_from_an_empty_folder(installed, 
     listed = json.loads(out.splitlines()[-1])
     assert set(listed) == {path.stem for path in (ROOT / "diagrams").glob("*.yaml")}
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_installed_copy_is_the_same_program_as_the_checkout(installed, tmp_path):
+    told = [
+        _run(
+            [sys.executable, "-B", "-c", PROGRAM],
+            cwd=tmp_path,
+            PYTHONPATH=str(place),
+        )
+        for place in (installed, ROOT)
+    ]
+    assert told[0] == told[1]
 
 
 def test_the_installed_copy_builds_a_world_of_its_own_models(installed, tmp_path):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tog_drake.benchmark.processes import ATTEMPTS, Broken, in_order, in_processes
+from tog_drake.benchmark.processes import ATTEMPTS, Broken, in_job_order, in_processes
 from tog_drake.errors import InputError, TogError
 
 
@@ -182,6 +182,6 @@ def _until(condition, seconds=60):
 
 def test_results_are_put_in_order():
     jobs = [3, 1, 2]
-    assert list(in_order(jobs, [(2, "b"), (3, "c"), (1, "a")])) == ["c", "a", "b"]
+    assert list(in_job_order(jobs, [(2, "b"), (3, "c"), (1, "a")])) == ["c", "a", "b"]
     with pytest.raises(TogError, match="out of paper"):
-        list(in_order(jobs, [(1, "a"), (3, Broken("out of paper", ""))]))
+        list(in_job_order(jobs, [(1, "a"), (3, Broken("out of paper", ""))]))

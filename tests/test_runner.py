@@ -140,6 +140,21 @@ def test_a_rejected_question_is_no_line(tmp_path):
     assert numbers(tmp_path) == [0]
 
 
+def test_what_was_paid_for_counts_though_it_is_no_line_also_the_next_time(tmp_path):
+    with pytest.raises(Stopped):
+        run(tmp_path, Rejected(), max_cost=0.25)
+    assert numbers(tmp_path) == [0]  # $0.10, and as much was asked for number 1 in vain
+    why, _ = run(tmp_path, MadeUpWork(cost=0.1), max_cost=0.25)
+    assert why == "--max-cost 0.25 is reached: models have cost $0.3000"
+    assert numbers(tmp_path) == [0, 1]
+
+
+def test_what_was_asked_before_an_episode_broke_counts(tmp_path):
+    why, _ = run(tmp_path, MadeUpWork(troubles=((1, "breaks"),), cost=0.1), max_cost=0.15)
+    assert why == "--max-cost 0.15 is reached: models have cost $0.2000"
+    assert numbers(tmp_path) == [0, 1]
+
+
 class Rejected(MadeUpWork):
     def __call__(self, cell):
         result = MadeUpWork(cost=0.1)(cell)

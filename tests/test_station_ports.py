@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from tog_drake.episode import build_world
 from tog_drake.errors import InputError
 from tog_drake.scenario import LOOK_POSTURE, load_scenario
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.world import build_world
 
 INPUTS = ["panda.position", "hand.position"]
 OUTPUTS = [

@@ -6,15 +6,16 @@ from hypothesis import strategies as st
 from run_folder import make_exchange, make_line, make_vlm
 
 from tog_drake.benchmark.costs import cost_rows
-from tog_drake.benchmark.failures import agreement, failure_rows, motion_rows, rejection_rows
+from tog_drake.benchmark.failures import failure_rows, fingers_and_pads, motion_rows, rejection_rows
 from tog_drake.benchmark.statistics import Rate, mcnemar, wilson
 from tog_drake.benchmark.tables import (
     candidate_rows,
-    in_order,
+    in_table_order,
     methods_of,
     paired_rows,
     success_rows,
 )
+from tog_drake.record import chosen_region
 
 
 def by_group(rows):
@@ -92,12 +93,26 @@ def test_what_no_hand_can_hold_counts_and_is_listed_apart():
 
 def test_the_chosen_grasp_is_judged_apart_from_what_the_pads_hold():
     lines = [
-        make_line(0, closes_on={"head": 1.0}),
-        make_line(1, "slipped", seed=1, closes_on={"handle": 0.8, "head": 0.2}),
-        make_line(2, "no_choice", seed=2, closes_on=None),
+        make_line(0, chosen_closes_on={"head": 1.0}),
+        make_line(1, "slipped", seed=1, chosen_closes_on={"handle": 0.8, "head": 0.2}),
+        make_line(2, "no_choice", seed=2, chosen_closes_on=None, closes_on=None, choice=None),
+        make_line(3, "no_plan", seed=3, closes_on=None),
     ]
     row = by_group(success_rows(lines))["oracle", "all"]
-    assert (row["chosen_successes"], row["task_successes"], row["tasks"]) == (1, 1, 3)
+    assert (row["chosen_successes"], row["task_successes"], row["tasks"]) == (2, 1, 4)
+
+
+def test_a_line_of_an_older_run_says_of_the_chosen_grasp_no_more_than_it_knows():
+    def older(number, planned):
+        line = make_line(number, seed=number)
+        del line["record"]["chosen_closes_on"]
+        line["record"]["choice"]["planned_index"] = planned
+        return line
+
+    regions = [chosen_region(older(i, planned)["record"]) for i, planned in enumerate((4, 2, None))]
+    assert regions == [{"handle": 1.0}, None, None]
+    row = by_group(success_rows([older(0, 4), older(1, 2)]))["oracle", "all"]
+    assert (row["chosen_successes"], row["tasks"]) == (1, 2)
 
 
 def test_an_episode_that_serves_two_tasks_is_one_grasp():
@@ -114,7 +129,8 @@ def test_an_episode_that_serves_two_tasks_is_one_grasp():
 
 def test_a_task_that_says_nothing_of_parts_is_not_judged_but_a_broken_episode_is():
     silent = {"allowed": None, "task_compliance": None, "combined_success": None}
-    lines = [make_line(0, **silent), make_line(1, "broken", seed=1, closes_on=None, **silent)]
+    broken = make_line(1, "broken", seed=1, chosen_closes_on=None, **silent)
+    lines = [make_line(0, **silent), broken]
     row = by_group(success_rows(lines))["oracle", "all"]
     assert (row["n"], row["grasp"], row["tasks"], row["task"]) == (2, 0.5, 1, 0.0)
     row = by_group(success_rows(lines[:1]))["oracle", "all"]
@@ -211,6 +227,17 @@ def test_like_motions_are_one():
     ]  # fmt: skip
 
 
+def test_numbers_in_a_reason_are_left_out_but_not_those_in_a_name():
+    says = "{} N on ycb_{}_mustard at {} s (attempt 3/5), after {}e-05 m; K2 is 0.5."
+    messages = [says.format(31, "006", "2.25", 1), says.format(7, "006", "1.5", 3)]
+    messages.append(says.format(7, "007", "1.5", 3))
+    lines = [make_line(i, "empty", message=message) for i, message in enumerate(messages)]
+    assert [(row["reason"], row["n"]) for row in failure_rows(lines)] == [
+        ("# N on ycb_006_mustard at # s (attempt #/#), after # m; K2 is #.", 2),
+        ("# N on ycb_007_mustard at # s (attempt #/#), after # m; K2 is #.", 1),
+    ]
+
+
 def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held():
     clear, mixed = {"head": 0.9, "body": 0.1}, {"head": 0.6, "body": 0.4}
     lines = [
@@ -221,7 +248,7 @@ def test_labels_agree_where_the_part_between_the_fingers_is_the_one_that_is_held
         make_line(4, held={"head": 0.52, "body": 0.48}, closes_on={"body": 1.0}),  # a tie
         make_line(5, held={"head": 0.6, "body": 0.4}, closes_on={"body": 1.0}),
     ]
-    assert agreement(lines) == {"n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3}
+    assert fingers_and_pads(lines) == {"n": 5, "agree": 3, "clear": 2, "clear_agree": 1, "mixed": 3}
 
 
 def test_what_decisions_took_tells_live_questions_from_replayed_ones():
@@ -243,7 +270,7 @@ def test_what_decisions_took_tells_live_questions_from_replayed_ones():
 def test_the_parts_of_a_run_come_back_in_its_order():
     lines = [make_line(i, method=m) for i, m in enumerate("cab")]
     assert methods_of(lines[::-1]) == ["c", "a", "b"]
-    assert in_order(lines[::-1]) == lines
+    assert in_table_order(lines[::-1]) == lines
 
 
 LINES = st.lists(
@@ -266,7 +293,7 @@ LINES = st.lists(
 def test_no_table_depends_on_the_order_in_which_episodes_ended(lines, order):
     shuffled = random.Random(order.random()).sample(lines, len(lines))
     for table in (success_rows, paired_rows, candidate_rows, failure_rows, rejection_rows,
-                  motion_rows, cost_rows, agreement):  # fmt: skip
+                  motion_rows, cost_rows, fingers_and_pads):  # fmt: skip
         assert table(shuffled) == table(lines)
 
 

@@ -15,7 +15,6 @@ from pydrake.perception import PointCloud
 from seeing_server import FAMILIES, see_and_answer
 from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, says
 
-from tog_drake.episode import build_world, look
 from tog_drake.errors import NoChoice
 from tog_drake.judge import COMPLIANT_SHARE
 from tog_drake.pipeline import decide
@@ -25,6 +24,7 @@ from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
 from tog_drake.selectors.vlm.specification import read_specification
 from tog_drake.values import Candidates, View, Workspace
+from tog_drake.world import build_world, look
 
 HAND, USE = "hand me the hammer", "use the hammer to drive a nail"
 PART = {HAND: "head", USE: "handle"}

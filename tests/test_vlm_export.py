@@ -9,12 +9,12 @@ from command import refused, tog
 from test_replay import same
 from vlm_server import KEY, VlmServer
 
-from tog_drake.episode import build_world, look
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.recorded import Recorded
+from tog_drake.world import build_world, look
 
 TASK = "hand me the hammer"
 MODEL = ("--vlm", "openai:any@http://127.0.0.1:9/v1")

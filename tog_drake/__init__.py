@@ -32,7 +32,7 @@ _MODULE_OF = {
     "MakePlanningModel": "planning_model",
     "Scenario": "scenario",
     "load_scenario": "scenario",
-    "build_world": "episode",
+    "build_world": "world",
     "run_episode": "episode",
     "choose_on_view": "choose",
     # errors

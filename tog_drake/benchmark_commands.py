@@ -5,17 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tog_drake.benchmark.options import MethodOptions, SuiteArgument, SuiteOptions
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
-from tog_drake.options import (
-    MODEL_HELP,
-    JsonOption,
-    SelectorOptions,
-    SuiteArgument,
-    SuiteOptions,
-    names,
-    spread,
-)
+from tog_drake.options import JsonOption, SelectorOptions
+from tog_drake.spread import spread
 from tog_drake.terminal import (
     console_for,
     print_failures,
@@ -24,7 +18,7 @@ from tog_drake.terminal import (
     print_rates,
     say,
 )
-from tog_drake.view_options import VIEW_FORMS, ViewOptions
+from tog_drake.view_options import ViewOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,46 +26,21 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tog_drake.benchmark.journal import Line
-    from tog_drake.benchmark.method import Method
     from tog_drake.benchmark.runner import Parallel
 
-_MAX_SHARED = 2_000_000_000  # bytes that a run keeps of what its episodes share; a look has 2.6 MB
+_DECIDE_NOTHING = ("workers", "limit", "max_cost", "replays", "out", "fresh", "as_json")
+"""Options of a run that no result depends on."""
 
 
 @spread(without=["selector", "strategy", "vlm", "view"])
 def evaluate_(
+    context: typer.Context,
     suite: SuiteArgument,
     *,
-    selectors: Annotated[
-        str | None,
-        typer.Option(
-            help="Comma-separated: top-score, random, oracle, geometric, vlm; by default "
-            "top-score,oracle, or vlm where a model is named."
-        ),
-    ] = None,
-    strategies: Annotated[
-        str | None,
-        typer.Option(help="How models are asked, comma-separated: gsi, cpsi ...; see tog prompts."),
-    ] = None,
-    vlm: Annotated[
-        list[str] | None, typer.Option(help=f"{MODEL_HELP} Or replay:FILE. Once for each.")
-    ] = None,
-    proposers: Annotated[
-        str | None, typer.Option(help="Who suggests grasps, comma-separated, as of tog run.")
-    ] = None,
-    k: Annotated[
-        str | None, typer.Option(help="How many candidates, comma-separated: 2,3,auto.")
-    ] = None,
-    views: Annotated[
-        str | None,
-        typer.Option(help=f"Whose view is shown, comma-separated: {VIEW_FORMS}."),
-    ] = None,
-    cameras: ViewOptions,
-    checkpoint: Annotated[
-        Path | None, typer.Option(help="File of weights for the proposer contact-graspnet.")
-    ] = None,
+    compared: MethodOptions,
     options: SelectorOptions,
     runs: SuiteOptions,
+    cameras: ViewOptions,
     judge: Annotated[
         str | None, typer.Option(help="A model that judges besides: vlm:MODEL, as of --vlm.")
     ] = None,
@@ -103,29 +72,31 @@ def evaluate_(
 
     Whatever stops it, the same command again goes on where it was.
     """
+    from dataclasses import replace
+
     from tog_drake.benchmark.episodes import EpisodeWork
-    from tog_drake.benchmark.journal import SHARED, Journal
-    from tog_drake.benchmark.judging import VlmJudge
-    from tog_drake.benchmark.runner import evaluate, run_config
+    from tog_drake.benchmark.identity import run_config
+    from tog_drake.benchmark.journal import COMMAND, SHARED, Journal
+    from tog_drake.benchmark.judging import vlm_judge
+    from tog_drake.benchmark.runner import evaluate
     from tog_drake.benchmark.suite import load_suite
-    from tog_drake.sharing import SharedWork
 
     console = console_for(as_json)
     check_folder(out)
     loaded = load_suite(suite, runs.scenario_text)
-    methods = _methods(selectors, strategies, vlm or [], proposers, k, views, checkpoint, options)
+    methods = compared.methods(options)
     cells = runs.cells(loaded, methods, cameras)
     parallel, count = _parallel(workers)
     shared = (out / SHARED).resolve()
-    work = EpisodeWork(shared, options, checkpoint, judge, replays)
+    work = EpisodeWork(shared, options, compared.checkpoint, judge, replays)
     config = run_config(loaded, methods, cells, work, seeds=runs.seeds or loaded.seeds)
     if judge is not None:
-        VlmJudge(judge)  # hears what is wrong before anything starts
-    with Journal(out, config, fresh=fresh) as journal:
+        vlm_judge(judge)  # hears what is wrong before anything starts
+    with Journal(out, {**config, COMMAND: command_words(context)}, fresh=fresh) as journal:
         try:
             why = evaluate(
                 cells,
-                work,
+                replace(work, asked=config),
                 journal,
                 workers=count,
                 console=console,
@@ -134,7 +105,6 @@ def evaluate_(
                 parallel=parallel,
             )
         finally:
-            SharedWork(shared).prune(_MAX_SHARED)
             found = _print_successes(console, journal.lines)
     if why is not None:
         say(console, why)
@@ -184,7 +154,7 @@ def label(
         agreements,
         export_sample,
         import_answers,
-        read_labels,
+        labels_of,
     )
     from tog_drake.benchmark.journal import read_run
 
@@ -199,12 +169,30 @@ def label(
         return
     known = import_answers(folder, answers)
     say(console, f"{known} grasps are judged by people")
-    found = agreements(read_run(folder).lines, read_labels(folder))
+    run = read_run(folder)
+    found = agreements(run.lines, labels_of(run))
     for who, same in found.items():
         kappa = "not defined" if same.kappa is None else f"{same.kappa:.2f}"
         share = "" if same.agree is None else f"{same.agree:.0%} of "
         say(console, f"{who} agree on {share}{same.n}; Cohen's kappa {kappa}")
     print_json(as_json, {"judged": known, "agreement": {w: asdict(s) for w, s in found.items()}})
+
+
+def command_words(context: typer.Context) -> list[str]:
+    """Returns the words of a `tog eval`, with all options that decide what comes of it."""
+    words = ["tog", "eval"]
+    for option in context.command.params:
+        name, value = str(option.name), context.params.get(str(option.name))
+        source = context.get_parameter_source(name)
+        if name in _DECIDE_NOTHING or source is None or source.name == "DEFAULT":
+            continue
+        said = option.opts[:1] if option.param_type_name == "option" else []
+        if value is True:
+            words += said
+        else:
+            values = value if isinstance(value, list | tuple) else [value]
+            words += [word for each in values for word in (*said, str(each))]
+    return words
 
 
 def _parallel(workers: str) -> "tuple[Parallel, int]":
@@ -221,44 +209,9 @@ def _parallel(workers: str) -> "tuple[Parallel, int]":
     return in_processes, int(workers)
 
 
-def _methods(
-    selectors: str | None,
-    strategies: str | None,
-    models: "list[str]",
-    proposers: str | None,
-    k: str | None,
-    views: str | None,
-    checkpoint: Path | None,
-    options: SelectorOptions,
-) -> "list[Method]":
-    from tog_drake.benchmark.method import make_methods
-
-    names_model = bool(models) or options.names_model
-    chosen = names(selectors or ("vlm" if names_model else "top-score,oracle"))
-    given = [*options.given(), *["--strategies"] * bool(strategies), *["--vlm"] * bool(models)]
-    if "vlm" not in chosen and given:
-        raise InputError(
-            f"{', '.join(given)}: only a model is asked so; valid: with vlm among the --selectors"
-        )
-    methods = make_methods(
-        chosen,
-        strategies=names(strategies) if strategies else [],
-        models=models,
-        proposers=names(proposers) if proposers else [],
-        ks=names(k) if k else [],
-        views=names(views) if views else [],
-    )
-    if checkpoint is not None and not any(method.takes_weights for method in methods):
-        raise InputError(
-            f"--checkpoint {checkpoint} is for contact-graspnet, not for {proposers}; valid: with "
-            "contact-graspnet among the --proposers"
-        )
-    return methods
-
-
 def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, Any]":
     """Prints who proposed and the tables of what came of it; returns them for a program."""
-    from tog_drake.benchmark.failures import agreement, failure_rows
+    from tog_drake.benchmark.failures import failure_rows, fingers_and_pads
     from tog_drake.benchmark.tables import paired_rows, success_rows
     from tog_drake.selectors.oracle import ORACLE_NOTE
 
@@ -266,14 +219,14 @@ def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, 
         "rows": success_rows(lines),
         "pairs": paired_rows(lines),
         "failures": failure_rows(lines),
-        "agreement": agreement(lines),
+        "fingers_and_pads": fingers_and_pads(lines),
     }
     if not lines:
         return found
     print_origins(console, [line["record"]["proposer"] for line in lines])
     print_rates(console, found["rows"])
     print_failures(console, found["failures"])
-    same = found["agreement"]
+    same = found["fingers_and_pads"]
     say(
         console,
         f"the part between the fingers is the one that the pads press in {same['agree']} of "

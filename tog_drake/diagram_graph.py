@@ -5,8 +5,8 @@ import subprocess
 
 from pydrake.systems.framework import Diagram, InputPortIndex, OutputPortIndex
 
-from tog_drake.episode import World
 from tog_drake.errors import InputError
+from tog_drake.world import World
 
 
 def svg(world: World) -> str:

@@ -1,38 +1,25 @@
 """One simulated episode: scenario, task and seed in; a record and what to show of it out."""
 
-import re
 import time
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
 
-from tog_drake.camera import rendered_intrinsics
 from tog_drake.cameras import noise_of
-from tog_drake.compliance import PartLabels
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
-from tog_drake.object_parts import ObjectParts, labels_file, load_parts, unlabelled
-from tog_drake.pipeline import (
-    Decision,
-    GraspPipeline,
-    GroundTruth,
-    connect_to_station,
-    decide,
-    used_cameras,
-)
-from tog_drake.planning_model import MakePlanningModel, PlanningModel
+from tog_drake.pipeline import Decision, decide
 from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
-from tog_drake.scenario import Scenario, camera_configs, model_files, robot_directive
-from tog_drake.selectors.oracle import Oracle
+from tog_drake.scenario import Scenario
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
-from tog_drake.stations.simulation import SimulationStation
-from tog_drake.values import Exchange, Grasps, Intrinsics
+from tog_drake.values import Exchange, Grasps
 from tog_drake.visualization import draw_decision, replay_html
 from tog_drake.vlm_record import exchanges_of
+from tog_drake.world import World, build_world, look
 
 _SAMPLE = 0.02  # [s] between two looks of the judge
 
@@ -45,103 +32,6 @@ class Episode:
     decision: Decision
     replay: str | None  # a static page that plays it over and over, where Meshcat was given
     exchanges_before: tuple[Exchange, ...] = ()  # with a model, at the looks before the last
-
-
-@dataclass(frozen=True)
-class World:
-    """A diagram that can run an episode, and its parts."""
-
-    diagram: Diagram
-    station: SimulationStation
-    pipeline: GraspPipeline
-    planning_model: PlanningModel
-    labels: PartLabels
-    target: str  # model instance of the object that the task is about
-
-
-def load_objects(scenario: Scenario) -> dict[str, ObjectParts]:
-    """Returns the labels of the scenario's objects, those that have any, by model instance."""
-    files = {name: labels_file(file) for name, file in model_files(scenario).items()}
-    return {name: load_parts(path) for name, path in files.items() if path is not None}
-
-
-def _objects_of_tasks(scenario: Scenario, wanted: str | None) -> dict[str, ObjectParts]:
-    """The objects that a task may be about, by model instance.
-
-    They are those with labels. One without is among them where it is named, or where no object has
-    any: it can be lifted, but nobody can say whether the part that is held suits the task.
-    """
-    labelled = load_objects(scenario)
-    others = {name: unlabelled(name) for name in model_files(scenario) if name not in labelled}
-    if wanted in others:
-        return {**labelled, wanted: others[wanted]}
-    return labelled or others
-
-
-def _check_target(scenario: Scenario, objects: dict[str, ObjectParts], target: str) -> None:
-    if isinstance(scenario.pipeline.selector, Oracle) and not objects[target].part_words:
-        raise InputError(
-            f"selector oracle reads part labels, and {target} has none (no parts.yaml beside its "
-            "model); valid: another selector; of an imported object `tog assets label "
-            f"{target}` says where they belong"
-        )
-
-
-def build_world(
-    scenario: Scenario,
-    *,
-    target: str | None = None,
-    task: str = "",
-    meshcat: Meshcat | None = None,
-) -> World:
-    """Builds the simulated station and the pipeline of a scenario, connected.
-
-    Args:
-        scenario: what to build.
-        target: the object that the task is about (model instance); None where there is only one,
-            or the task names it.
-        task: what a person said, where the target is to be found in it.
-        meshcat: where to draw, if anywhere.
-
-    Raises:
-        InputError: if the scenario does not hold the camera or the target, or the oracle is to
-            read labels that the target has not.
-    """
-    objects = _objects_of_tasks(scenario, target)
-    target = _find_target(objects, target, task)
-    _check_target(scenario, objects, target)
-    cameras = _intrinsics(scenario)
-    used_cameras(scenario.pipeline, cameras)  # hears what is wrong before anything is built
-    try:
-        station = SimulationStation(scenario, meshcat)
-        planning_model = MakePlanningModel(
-            [robot_directive(scenario), *scenario.planning_directives]
-        )
-    except RuntimeError as error:  # so Drake refuses a joint, frame, file or setting
-        raise InputError(f"the scenario cannot be built: {error}") from error
-    if not _is_free(station, target):
-        raise InputError(f"{target} is fixed in the scenario, so that nothing can lift it")
-    labels = PartLabels.from_plant(station.plant, station.scene_graph, objects)
-    pipeline = GraspPipeline(
-        scenario.pipeline,
-        cameras=cameras,
-        planning_model=planning_model,
-        seed=scenario.random_seed,
-        ground_truth=GroundTruth(labels, target),
-    )
-    builder = DiagramBuilder()
-    builder.AddSystem(station)
-    builder.AddSystem(pipeline)
-    connect_to_station(builder, station, pipeline)
-    diagram = builder.Build()
-    diagram.set_name("tog_drake")
-    return World(diagram, station, pipeline, planning_model, labels, target)
-
-
-def _intrinsics(scenario: Scenario) -> dict[str, Intrinsics]:
-    """The pinhole models of the images that the scenario's cameras deliver."""
-    colors = {name: c.MakeCameras()[0] for name, c in camera_configs(scenario).items()}
-    return {name: rendered_intrinsics(c.core().intrinsics()) for name, c in colors.items()}
 
 
 def run_episode(
@@ -172,57 +62,95 @@ def run_episode(
     if meshcat is not None:
         meshcat.StartRecording()
     simulator = look(world, scenario, task)
-    context = simulator.get_mutable_context()
     kept = None
     if shared is not None and meshcat is None and scenario.pipeline.retries == 0:
+        context = simulator.get_mutable_context()
         kept = KeptWorld(shared, scenario, context, world.pipeline, world.target)
     judge = Judge(world.station, world.labels, world.target)
-    attempts: list[AttemptRecord] = []
-    exchanges: tuple[Exchange, ...] = ()  # of the looks before this one
-    execution: Execution | None = None
-    wall = 0.0
+    course = _run(simulator, world, judge, task, kept, meshcat)
+    record = _record(course, scenario, world, task)
+    record["scenario"] = name
+    _enter_end(record, course)
+    if course.execution is None and course.wall > 0.0:  # earlier attempts were carried out
+        record["seconds"]["execute"] = course.wall
+        record["sim"]["real_time_rate"] = _since_look(world, simulator.get_context()) / course.wall
+        record["collisions"] = judge.collisions()
+    enter_compliance(record, world.labels.objects[world.target].allowed(task))
+    end = simulator.get_context().get_time()
+    record["sim"]["seconds"] = end if course.execution is None else course.execution.end
+    replay = None
+    if meshcat is not None:
+        replay = _replay(meshcat, world, simulator.get_context(), course.looked)
+    return Episode(record, course.decision, replay, course.exchanges_before)
+
+
+@dataclass
+class _Course:
+    """What happened from the first look on."""
+
+    attempts: list[AttemptRecord] = field(default_factory=list)
+    decision: Decision = field(default_factory=Decision)  # of the last look, as the next two
+    looked: float = 0.0  # [s]
+    between: list[dict[str, float]] | None = None  # see ``_parts_between_fingers``
+    exchanges_before: tuple[Exchange, ...] = ()  # of the looks before
+    execution: Execution | None = None  # of the last motion; None: the last look led to none
+    wall: float = 0.0  # [s] that all executions took
+
+
+def _run(
+    simulator: Simulator,
+    world: World,
+    judge: Judge,
+    task: str,
+    kept: KeptWorld | None,
+    meshcat: Meshcat | None,
+) -> _Course:
+    """Looks, decides and moves, and again as long as the executor goes back to look."""
+    context = simulator.get_mutable_context()
+    course = _Course()
     while True:
         decision = decide(world.pipeline, context) if kept is None else kept.decide(context)
-        looked, between = context.get_time(), _parts_between_fingers(world, context, decision)
-        attempts.append(attempt_record(decision))
+        course.decision, course.looked = decision, context.get_time()
+        course.between = _parts_between_fingers(world, context, decision)
+        course.attempts.append(attempt_record(decision))
         if meshcat is not None:
             _draw(meshcat, decision, world)
         if decision.error is not None:
-            break
+            return course
         execution = None if kept is None else kept.execution(decision)
         if execution is None:
             started = time.perf_counter()
             state = _execute(simulator, world, judge)
-            wall += time.perf_counter() - started
-            attempts[-1]["opening"] = state.opening_after
+            course.wall += time.perf_counter() - started
+            course.attempts[-1]["opening"] = state.opening_after
             if state.phase is Phase.OBSERVE:
-                exchanges += exchanges_of(decision)
+                course.exchanges_before += exchanges_of(decision)
                 continue
-            execution = _executed(world, context, judge.verdict(state, task), state, wall)
+            verdict = judge.verdict(state, task)
+            execution = _executed(world, context, verdict, state, course.wall)
             if kept is not None:
                 kept.keep(decision, execution)
-        attempts[-1]["opening"] = execution.opening
-        break
+        course.attempts[-1]["opening"] = execution.opening
+        course.execution = execution
+        return course
+
+
+def _record(course: _Course, scenario: Scenario, world: World, task: str) -> EpisodeRecord:
+    """Returns the record of all but how it ended."""
+    decision, between = course.decision, course.between
     record = new_record(decision, scenario.pipeline, task=task, seed=scenario.random_seed)
-    record["scenario"] = name
     record["noise"] = noise_of(scenario.cameras[scenario.pipeline.camera]) is not None
     record["grip_force"] = scenario.grip_force
     record["object_friction"] = scenario.object_friction
     record["object"] = world.target
-    record["attempts"] = attempts
+    record["attempts"] = course.attempts
     if between is not None:
         record["feasible_by_part"] = _feasible_by_part(world, between)
+        if decision.choice is not None:
+            record["chosen_closes_on"] = between[decision.choice.index]
         if decision.motion is not None:
             record["closes_on"] = between[decision.motion.grasp_index]
-    if execution is None and wall > 0.0:  # earlier attempts were carried out
-        record["seconds"]["execute"] = wall
-        record["sim"]["real_time_rate"] = _since_look(world, context) / wall
-        record["collisions"] = judge.collisions()
-    _enter_end(record, execution)
-    enter_compliance(record, world.labels.objects[world.target].allowed(task))
-    record["sim"]["seconds"] = context.get_time() if execution is None else execution.end
-    replay = None if meshcat is None else _replay(meshcat, world, simulator.get_context(), looked)
-    return Episode(record, decision, replay, exchanges)
+    return record
 
 
 def _since_look(world: World, context: Context) -> float:
@@ -245,8 +173,9 @@ def enter_compliance(record: EpisodeRecord, allowed: Collection[str] | None) -> 
     )
 
 
-def _enter_end(record: EpisodeRecord, execution: Execution | None) -> None:
+def _enter_end(record: EpisodeRecord, course: _Course) -> None:
     """Enters how it ended: as the judge saw the last motion, or without one."""
+    execution = course.execution
     if execution is None:
         record["grasp_success"] = record["strict_success"] = False
         if (n := len(record["attempts"])) > 1:
@@ -263,16 +192,6 @@ def _enter_end(record: EpisodeRecord, execution: Execution | None) -> None:
         record["grasp_success"] = verdict.grasp_success
         record["strict_success"] = verdict.strict_success
         record["turned"] = verdict.turned
-
-
-def look(world: World, scenario: Scenario, task: str) -> Simulator:
-    """Returns a simulation of the world at the time of the first look, nothing decided yet."""
-    simulator = Simulator(world.diagram)
-    ApplySimulatorConfig(scenario.simulator_config, simulator)
-    world.diagram.GetInputPort("task").FixValue(simulator.get_mutable_context(), task)
-    simulator.Initialize()
-    simulator.AdvanceTo(world.pipeline.executor.look_time)
-    return simulator
 
 
 def _check_success_is_possible(scenario: Scenario) -> None:
@@ -351,49 +270,3 @@ def _replay(meshcat: Meshcat, world: World, context: Context, looked: float) -> 
     if state.motion is not None and state.start_time >= looked:
         closed = state.start_time + state.motion.phase_times["close"]
     return replay_html(meshcat, duration=context.get_time(), decided=looked, closed=closed)
-
-
-def _find_target(objects: dict[str, ObjectParts], wanted: str | None, task: str) -> str:
-    """The model instance of the object meant, by its instance name or by what it is.
-
-    It tells the judge and the oracle alone what the task is about; other selectors read the task.
-    """
-    valid = ", ".join(objects)
-    if not objects:
-        raise InputError("the scenario holds no object; give it an add_model or an asset")
-    if wanted is None:
-        named = list(objects) if len(objects) == 1 else _named(objects, task)
-        if len(named) != 1:
-            found = f"the task {task!r} names {' and '.join(named) or 'none of them'}; "
-            raise InputError(
-                f"which object is the task about? {found if task else ''}give --object; "
-                f"valid: {valid}"
-            )
-        return named[0]
-    if wanted in objects:
-        return wanted
-    same = [name for name, parts in objects.items() if wanted in (parts.object, *parts.words)]
-    if len(same) != 1:
-        raise InputError(f"unknown object {wanted!r}; valid: {valid}")
-    return same[0]
-
-
-def _is_free(station: SimulationStation, target: str) -> bool:
-    plant = station.plant
-    free = (plant.get_body(index).model_instance() for index in plant.GetFloatingBaseBodies())
-    return target in map(plant.GetModelInstanceName, free)
-
-
-def _named(objects: dict[str, ObjectParts], task: str) -> list[str]:
-    """The objects that a task calls by one of their names; "lotion bottle" is no "bottle"."""
-    spoken = f" {' '.join(re.findall(r'[a-z]+', task.lower()))} "
-    names = {
-        model: max((w for w in parts.words if f" {w} " in spoken), key=len, default="")
-        for model, parts in objects.items()
-    }
-    return [
-        model
-        for model, name in names.items()
-        if name
-        and not any(name != other and f" {name} " in f" {other} " for other in names.values())
-    ]

@@ -77,9 +77,9 @@ def diagram(
 ) -> None:
     """Draw the Diagram of a scenario: station, stages and the ports that connect them."""
     from tog_drake.diagram_graph import svg
-    from tog_drake.episode import build_world, load_objects
     from tog_drake.files import write_atomically
     from tog_drake.scenario import load_scenario
+    from tog_drake.world import build_world, load_objects
 
     check_file(out)
     loaded = load_scenario(scenario, scenario_text)

@@ -3,12 +3,10 @@
 Nothing heavy is imported here: the help stays quick.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
-from inspect import Parameter, Signature, signature
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -16,12 +14,8 @@ from tog_drake.errors import InputError
 from tog_drake.files import check_file
 
 if TYPE_CHECKING:
-    from tog_drake.benchmark.cells import Cell
-    from tog_drake.benchmark.method import Method
-    from tog_drake.benchmark.suite import Suite
     from tog_drake.pipeline import PipelineConfig, ProposerConfig
     from tog_drake.selectors.vlm.selector import Vlm
-    from tog_drake.view_options import ViewOptions
 
 T = TypeVar("T")
 
@@ -273,39 +267,6 @@ def _put(config: "PipelineConfig", kind: "type[ProposerConfig]", **fields: str) 
         setattr(config.proposer, name, value)
 
 
-SuiteArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SUITE",
-        help="builtin | household | kitchen | tools | tog29; a scenario, all of whose objects are "
-        "asked for; or a YAML file of either.",
-    ),
-]
-
-
-@dataclass(frozen=True)
-class SuiteOptions:
-    """How a suite is run."""
-
-    seeds: Annotated[
-        int | None,
-        typer.Option(min=1, help="Each trial with seeds 0 .. N-1; by default as the suite says."),
-    ] = None
-    noise: NoiseOption = False
-    scenario_text: ScenarioText = None
-
-    def cells(
-        self, suite: "Suite", methods: "Sequence[Method]", views: "ViewOptions | None" = None
-    ) -> "list[Cell]":
-        """Returns the episodes. Raises as ``make_cells``."""
-        from tog_drake.benchmark.cells import make_cells
-
-        seeds = range(self.seeds or suite.seeds)
-        return make_cells(
-            suite, methods, seeds, noise=self.noise, text=self.scenario_text, views=views
-        )
-
-
 def put_k(config: "PipelineConfig", k: str | None) -> None:
     """Puts the number of candidates into the config of a pipeline; None leaves the scenario's.
 
@@ -317,47 +278,6 @@ def put_k(config: "PipelineConfig", k: str | None) -> None:
     if k is not None:
         config.candidates.k = k
         candidate_counts(config.candidates)
-
-
-def spread(
-    *, without: Collection[str] = ()
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Lets a command take a dataclass of options; Typer and the help see one for each field.
-
-    Args:
-        without: fields that are no options of this command and keep their defaults; the command
-            may have other options of these names.
-    """
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        given = signature(command).parameters.values()
-        kinds = {
-            p.name: p.annotation
-            for p in given
-            if isinstance(p.annotation, type) and is_dataclass(p.annotation)
-        }
-
-        def fields_of(p: Parameter) -> list[Parameter]:
-            options = signature(kinds[p.name]).parameters.values()
-            return [option for option in options if option.name not in without]
-
-        spread_out = [
-            option.replace(kind=Parameter.KEYWORD_ONLY)
-            for p in given
-            for option in (fields_of(p) if p.name in kinds else [p])
-        ]
-
-        @wraps(command)
-        def called(**values: Any) -> None:
-            for name, kind in kinds.items():
-                known = [field.name for field in fields(kind) if field.name not in without]
-                values[name] = kind(**{field: values.pop(field) for field in known})
-            command(**values)
-
-        called.__signature__ = Signature(spread_out)  # type: ignore[attr-defined]
-        return called
-
-    return decorate
 
 
 def names(text: str) -> list[str]:

@@ -17,7 +17,13 @@ from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import CameraView, Grasps
 from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.visibility import shown_in
-from tog_drake.vlm_record import ExchangeRecord, VlmRecord, exchange_records, vlm_record
+from tog_drake.vlm_record import (
+    ExchangeRecord,
+    VlmRecord,
+    exchange_records,
+    exchanges_of,
+    vlm_record,
+)
 
 SCHEMA = "tog_drake/episode/1"
 """Name and version; the number changes when a field changes its meaning or goes away."""
@@ -97,9 +103,12 @@ class EpisodeRecord(TypedDict):
     feasible_by_part: dict[str, int] | None
     """Part of the object -> feasible grasps that close on it to four fifths or more, by the labels;
     null: the stage was not reached."""
+    chosen_closes_on: dict[str, float] | None
+    """Part of the object -> its share of what is between the fingers of the chosen grasp, where the
+    object lay at the last look, by the labels; null: none was chosen."""
     closes_on: dict[str, float] | None
-    """Part of the object -> its share of what is between the fingers of the last grasp that was
-    carried out, before they close, by the labels; null: nothing was."""
+    """The same of the grasp that the motion carries out, which may be an alternative to the chosen
+    one; null: no motion was found."""
     allowed: list[str] | None  # parts that the task allows, by the object's labels
     lift: float | None  # [m] how high the object was at the end
     motion: dict[str, Any] | None  # duration [s], phases [s], note
@@ -175,6 +184,7 @@ def new_record(
         turned=None,
         collisions=None,
         feasible_by_part=None,
+        chosen_closes_on=None,
         closes_on=None,
         allowed=None,
         lift=None,
@@ -227,6 +237,20 @@ def selector_name(record: EpisodeRecord) -> str:
     return f"{selector['kind']} {vlm['strategy']} {vlm['model']}"
 
 
+def chosen_region(record: EpisodeRecord) -> Mapping[str, float] | None:
+    """Returns ``chosen_closes_on``; None where that is not known.
+
+    A record that was written before there was such a field says it of the grasp that was carried
+    out, and so of the chosen one where that is the same.
+    """
+    if "chosen_closes_on" in record:
+        return record["chosen_closes_on"]
+    choice = record["choice"]
+    if choice is None or choice["planned_index"] != choice["index"]:
+        return None
+    return record["closes_on"]
+
+
 def _view_selection_record(
     decision: Decision, config: PipelineConfig
 ) -> ViewSelectionRecord | None:
@@ -268,7 +292,7 @@ def attempt_record(decision: Decision) -> AttemptRecord:
     """Returns what a decision says of its attempt; what the hand felt is not known yet."""
     return AttemptRecord(
         choice=_choice_record(decision),
-        exchanges=exchange_records(decision),
+        exchanges=exchange_records(exchanges_of(decision)),
         motion=_motion_record(decision),
         opening=None,
         message=None if decision.error is None else str(decision.error),

@@ -8,19 +8,19 @@ outside (a user, a model) and is escaped; a content security policy forbids all 
 import base64
 import gzip
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from numpy.typing import NDArray
 
 from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
+from tog_drake.pages import page_environment
 from tog_drake.pipeline import STAGES
-from tog_drake.record import proposer_name, usage
+from tog_drake.record import ChoiceRecord, EpisodeRecord, proposer_name, usage
 from tog_drake.values import Exchange, GraspMotion, View
 from tog_drake.visible_text import visible
 
@@ -64,14 +64,22 @@ def write_report(
     write_atomically(path, report_html(episodes, title=title))
 
 
+_GROUPS: dict[str, Iterable[str]] = {
+    "choice": ChoiceRecord.__annotations__,
+    "counts": ("feasible",),
+    "held": (),
+    "proposer": (),
+    "rejected": (),
+    "seconds": ("decide", "execute"),
+    "selector": ("kind",),
+    "sim": ("seconds", "real_time_rate"),
+}
+"""Of each group of the record what the template reads without asking whether it is there."""
+
+
 def report_html(episodes: Sequence[EpisodeReport], *, title: str = "Grasping by task") -> str:
     """Returns the report as the text of a page."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_environment()
     environment.filters.update(words=_words, milliseconds=_milliseconds)
     return environment.get_template("report.html.j2").render(
         title=title,
@@ -83,10 +91,10 @@ def report_html(episodes: Sequence[EpisodeReport], *, title: str = "Grasping by 
 
 def _page_of(episode: EpisodeReport) -> dict[str, Any]:
     """Returns what the template shows of an episode, as plain values."""
-    # Whatever a failed stage left out reads as an empty mapping, so that the template need not ask.
-    record = {key: _shown(value) for key, value in episode.record.items() if value is not None}
-    for group in ("choice", "counts", "held", "proposer", "rejected", "seconds", "selector", "sim"):
-        record.setdefault(group, {})
+    # What a failed stage or an older version left out reads as none, and need not be asked for.
+    record = dict.fromkeys(EpisodeRecord.__annotations__) | _shown(dict(episode.record))
+    for group, fields in _GROUPS.items():
+        record[group] = dict.fromkeys(fields) | (record[group] or {})
     view = episode.view
     return {
         "record": record,
@@ -99,7 +107,7 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
         "decision": None if episode.decision is None else _data_url(episode.decision),
         "views": _strip(episode.views, record.get("view_selection", {})),
         "asked": _asked(
-            record.get("vlm", {}),
+            record["vlm"] or {},
             episode.exchanges_before,
             episode.exchanges,
             record["choice"].get("index"),

@@ -20,8 +20,8 @@ from tog_drake.options import (
     SelectorOptions,
     TaskOption,
     put_k,
-    spread,
 )
+from tog_drake.spread import spread
 from tog_drake.terminal import (
     console_for,
     deciding,

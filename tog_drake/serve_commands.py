@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tog_drake.errors import InputError
-from tog_drake.options import ProposerOptions, spread
+from tog_drake.options import ProposerOptions
+from tog_drake.spread import spread
 from tog_drake.terminal import console_for, print_weights, say
 
 if TYPE_CHECKING:

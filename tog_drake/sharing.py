@@ -36,7 +36,10 @@ from tog_drake.values import FeasibleGrasps, GraspMotion, Grasps, Intrinsics, Vi
 
 T = TypeVar("T")
 
+MAX_BYTES = 2_000_000_000
+"""Of all that a run keeps of what its episodes share; a look has 2.6 MB."""
 _STEP = 0.005  # [s] between the samples by which motions are told apart
+_RESOURCES = frozenset({"models", "diagrams"})  # in a wheel; scenarios count as they are read
 
 
 @dataclass(frozen=True)
@@ -53,18 +56,27 @@ class Execution:
 class SharedWork:
     """Looks and executions in a folder; several processes may use the same one at once."""
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, program: str):
+        """Args: ``program``: the ``program_digest`` of those who use the folder.
+
+        It is told and not found out here: the files of a program may be edited while it runs.
+        """
         self._folder = folder
+        self.program = program
 
     def look(self, key: str) -> Look | None:
         """Returns the look that is kept under a key, if any."""
         return _read(self._folder / f"{key}.npz", _look_of)
 
     def keep_look(self, key: str, look: Look) -> None:
-        """Keeps a look. Raises OSError where the folder cannot be written to."""
+        """Keeps a look, in place of the oldest where there is too much.
+
+        Raises OSError where the folder cannot be written to.
+        """
         data = io.BytesIO()
         np.savez(data, **_arrays_of(look))
         write_atomically(self._folder / f"{key}.npz", data.getvalue())
+        self.prune(MAX_BYTES)  # some ten milliseconds, where a look takes seconds
 
     def execution(self, key: str) -> Execution | None:
         """Returns the execution that is kept under a key, if any."""
@@ -108,7 +120,7 @@ class KeptWorld:
         """
         self._shared, self._config = shared, scenario.pipeline
         self._pipeline, self._target = pipeline, target
-        self._world = world_key(scenario, context)
+        self._world = world_key(shared.program, scenario, context)
         seed = scenario.random_seed
         self._look = look_key(self._world, scenario.pipeline, pipeline.proposer, seed)
 
@@ -135,10 +147,11 @@ class KeptWorld:
         return execution_key(self._world, self._config, decision.motion, self._target)
 
 
-def world_key(scenario: Scenario, context: Context) -> str:
+def world_key(program: str, scenario: Scenario, context: Context) -> str:
     """Returns what tells a simulated world, as it is now, from every other.
 
     Args:
+        program: that simulates it, see ``program_digest``.
         scenario: that it was made of; the settings of its pipeline do not count.
         context: the root Context of the diagram.
     """
@@ -147,7 +160,7 @@ def world_key(scenario: Scenario, context: Context) -> str:
     state = context.get_discrete_state()
     return _digest(
         [
-            _program(),
+            program,
             yaml_dump_typed(world),
             *(_contents(file.parent) for file in model_files(scenario).values()),
             *(state.get_vector(i).value().tobytes() for i in range(state.num_groups())),
@@ -200,24 +213,33 @@ def _digest(parts: Iterable[str | bytes]) -> str:
 
 
 @lru_cache
-def _program() -> str:
-    """What tells this program from another state of it, and from it on another Drake."""
-    return (
-        _contents(Path(__file__).parent)
-        + _contents(resource_dir("models"))
-        + "".join(version(name) for name in ("drake", "numpy", "scipy"))
+def program_digest() -> str:
+    """Returns what tells this program from another state of it, and from it on another Drake.
+
+    SHA-256 of its files, as they are at the first call in this process, and of the versions. A
+    wheel, which carries its models inside the package, has that of the checkout beside them.
+    """
+    return _digest(
+        [
+            _contents(Path(__file__).parent, without=_RESOURCES),
+            _contents(resource_dir("models")),
+            *(version(name) for name in ("drake", "numpy", "scipy")),
+        ]
     )
 
 
 @lru_cache(maxsize=256)
-def _contents(folder: Path) -> str:
-    """Digest of the names and contents of a folder's files; files that Python makes aside."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+def _contents(folder: Path, without: frozenset[str] = frozenset()) -> str:
+    """Digest of the names and contents of a folder's files; files that Python makes aside.
+
+    ``without`` are folders in it that do not count.
+    """
+    files = (path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file())
     return _digest(
         part
-        for path in files
-        if "__pycache__" not in path.parts
-        for part in (str(path.relative_to(folder)), path.read_bytes())
+        for file in files
+        if "__pycache__" not in file.parts and file.parts[0] not in without
+        for part in (file.as_posix(), (folder / file).read_bytes())
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tog_drake.benchmark.options import SuiteOptions
 from tog_drake.errors import InputError
 from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
@@ -19,10 +20,9 @@ from tog_drake.options import (
     ScenarioOption,
     SeedOption,
     SelectorOptions,
-    SuiteOptions,
-    spread,
     valid,
 )
+from tog_drake.spread import spread
 from tog_drake.terminal import asking, console_for, print_json, say
 from tog_drake.view_options import ViewOptions
 
@@ -176,23 +176,14 @@ def export(
     Only what the cassette has no answer to. Nothing is sent, and no key is needed.
     """
     from tog_drake.benchmark.method import Method
-    from tog_drake.benchmark.suite import load_suite
     from tog_drake.vlm_export import export_questions
 
     console = console_for(as_json)
     check_folder(out)
     check_file(cassette, "--cassette")
-    if (task is None) == (suite is None):
-        both = "" if task is None else ", not both"
-        raise InputError(f"what is to be asked? valid: --task for one scenario, or a suite{both}")
-    if suite is not None and any(x is not None for x in (scenario, object_, seed)):
-        raise InputError("--scenario, --object and --seed go with --task; valid: --seeds")
     method, cameras = Method("vlm", k=k, view=views.view), replace(views, view=None)
-    if suite is None:
-        cell = _cell(task or "", scenario or DEFAULT_SCENARIO, object_, seed, runs, method)
-        cells = [replace(cell, views=cameras)]
-    else:
-        cells = runs.cells(load_suite(suite, runs.scenario_text), [method], cameras)
+    cells = _cells(suite, task, scenario, object_, seed, runs, method)
+    cells = [replace(cell, views=cameras) for cell in cells]
     exported = export_questions(
         cells,
         replace(options, selector="vlm", fallback="fail"),
@@ -201,12 +192,34 @@ def export(
         workers=workers,
         console=console,
     )
-    _say_exported(console, exported, cassette, out)
-    if not exported.questions:
-        command = "run" if suite is None else f"eval {suite}"
-        say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
+    _say_exported(console, exported, cassette, out, "run" if suite is None else f"eval {suite}")
     content = {**vars(exported), "files": [str(file) for file in exported.files]}
     print_json(as_json, content)
+
+
+def _cells(
+    suite: str | None,
+    task: str | None,
+    scenario: str | None,
+    object_: str | None,
+    seed: int | None,
+    runs: SuiteOptions,
+    method: "Method",
+) -> "list[Cell]":
+    """Returns the episodes that are asked for: of a suite, or the one of a task.
+
+    Raises InputError where that makes no sense.
+    """
+    from tog_drake.benchmark.suite import load_suite
+
+    if suite is not None and task is None:
+        if any(given is not None for given in (scenario, object_, seed)):
+            raise InputError("--scenario, --object and --seed go with --task; valid: --seeds")
+        return runs.cells(load_suite(suite, runs.scenario_text), [method])
+    if suite is None and task is not None:
+        return [_cell(task, scenario or DEFAULT_SCENARIO, object_, seed, runs, method)]
+    both = "" if task is None else ", not both"
+    raise InputError(f"what is to be asked? valid: --task for one scenario, or a suite{both}")
 
 
 def _cell(
@@ -217,7 +230,7 @@ def _cell(
     runs: SuiteOptions,
     method: "Method",
 ) -> "Cell":
-    """Returns the one episode that is asked for; raises InputError where it makes no sense."""
+    """Returns the one episode of a task; raises InputError where it makes no sense."""
     from tog_drake.benchmark.cells import Cell
     from tog_drake.benchmark.suite import Trial
     from tog_drake.scenario import load_scenario
@@ -230,7 +243,10 @@ def _cell(
     return Cell(0, method, seed, (asked,), runs.noise, runs.scenario_text)
 
 
-def _say_exported(console: "Console", exported: "Exported", cassette: Path, out: Path) -> None:
+def _say_exported(
+    console: "Console", exported: "Exported", cassette: Path, out: Path, command: str
+) -> None:
+    """Says what came of it and what comes next: ``command`` is that of the episodes."""
     for reason in exported.over:
         say(console, f"no question: {reason}")
     say(
@@ -240,6 +256,7 @@ def _say_exported(console: "Console", exported: "Exported", cassette: Path, out:
     )
     if not exported.questions:
         say(console, "questions: none pending")
+        say(console, f"go on: tog {command} --vlm replay:{cassette}, with the same options")
         return
     say(console, f"questions: {exported.questions} pending")
     say(console, f"for a batch API: {', '.join(map(str, exported.files))}; {exported.how}")

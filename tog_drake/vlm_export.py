@@ -15,8 +15,7 @@ from rich.progress import Progress
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.benchmark.method import Method
-from tog_drake.benchmark.processes import in_order, in_processes
-from tog_drake.episode import build_world, look
+from tog_drake.benchmark.processes import in_job_order, in_processes
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.options import SelectorOptions, put_k
 from tog_drake.pipeline import make_selector, make_view_scorer
@@ -31,6 +30,7 @@ from tog_drake.view_options import put_view
 from tog_drake.view_scorers.coverage import Coverage
 from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.view_selection import ViewScorer, select_view
+from tog_drake.world import build_world, look
 
 
 @dataclass
@@ -95,7 +95,7 @@ def export_questions(
         work = partial(_look_at, options=options, cassette=cassette)
         alone = len(cells) == 1
         ended = in_processes(work, cells, workers)
-        looked_at = map(work, cells) if alone else in_order(cells, ended)
+        looked_at = map(work, cells) if alone else in_job_order(cells, ended)
         for cell, looked in zip(cells, looked_at, strict=True):
             about = f"{cell.scenario}, seed {cell.seed}: {cell.task}"
             for request in looked.requests:

@@ -1,5 +1,6 @@
 """What the record of an episode says of the questions to a vision-language model."""
 
+from collections.abc import Iterable
 from typing import Any, TypedDict
 
 from tog_drake.errors import NoChoice, NoView
@@ -50,8 +51,8 @@ def exchanges_of(decision: Decision) -> tuple[Exchange, ...]:
     return exchanges + (error.exchanges if isinstance(error, NoView | NoChoice) else ())
 
 
-def exchange_records(decision: Decision) -> list[ExchangeRecord]:
-    """Returns the exchanges of a decision without their images."""
+def exchange_records(exchanges: Iterable[Exchange]) -> list[ExchangeRecord]:
+    """Returns exchanges as a record keeps them, without their images."""
     return [
         ExchangeRecord(
             prompt=exchange.prompt,
@@ -68,7 +69,7 @@ def exchange_records(decision: Decision) -> list[ExchangeRecord]:
             cost=exchange.cost,
             replayed=exchange.replayed,
         )
-        for exchange in exchanges_of(decision)
+        for exchange in exchanges
     ]
 
 
@@ -95,5 +96,5 @@ def vlm_record(decision: Decision, config: Any, *, seed: int) -> VlmRecord | Non
         seed=seed,
         status=status,
         fallback=None if choice is None else choice.fallback,
-        exchanges=exchange_records(decision),
+        exchanges=exchange_records(exchanges_of(decision)),
     )

@@ -8,9 +8,9 @@ from pydrake.systems.analysis import Simulator
 
 from tog_drake.benchmark.suite import load_suite
 from tog_drake.candidates import CandidatesConfig, pick_candidates
-from tog_drake.episode import build_world
 from tog_drake.judge import COMPLIANT_SHARE
 from tog_drake.scenario import load_scenario
+from tog_drake.world import build_world
 
 KS = ("auto", 2, 3, 4, 5, 6, 8)
 SEEDS = (0, 1)

@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tog_drake.benchmark.failures import agreement, failure_rows, motion_rows, rejection_rows
+from tog_drake.benchmark.failures import failure_rows, fingers_and_pads, motion_rows, rejection_rows
 from tog_drake.benchmark.journal import EPISODES, read_run
 from tog_drake.benchmark.tables import GROUPS, candidate_rows, paired_rows, success_rows
 
@@ -41,7 +41,7 @@ def tables(folder: Path) -> str:
             *(success_rows(lines, by) for by in GROUPS),
             *(rows(lines) for rows in (paired_rows, failure_rows, rejection_rows, motion_rows)),
             candidate_rows(lines),
-            agreement(lines),
+            fingers_and_pads(lines),
         ]
     )
 

@@ -9,7 +9,7 @@ from typing import Any
 from tog_drake.assets.importing import ImportOptions, import_mesh, name_for, sweep
 from tog_drake.assets.library import checked_name
 from tog_drake.assets.mesh import FORMATS
-from tog_drake.benchmark.processes import in_order, in_processes
+from tog_drake.benchmark.processes import in_job_order, in_processes
 from tog_drake.errors import InputError, TogError
 
 METADATA = "metadata.json"
@@ -121,7 +121,9 @@ def add(jobs: Sequence[Job], workers: int) -> Iterator[tuple[str, dict[str, Any]
         TogError: a process died.
     """
     alone = min(workers, len(jobs)) == 1
-    results = map(_import, jobs) if alone else in_order(jobs, in_processes(_import, jobs, workers))
+    results = (
+        map(_import, jobs) if alone else in_job_order(jobs, in_processes(_import, jobs, workers))
+    )
     try:
         yield from zip((job.name for job in jobs), results, strict=True)
     finally:

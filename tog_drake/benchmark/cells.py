@@ -1,6 +1,5 @@
 """Which episodes a run is made of: every method on every trial of a suite, with each seed."""
 
-import hashlib
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -12,8 +11,7 @@ from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.suite import SCENARIO, Suite, Trial
 from tog_drake.cameras import with_noise
 from tog_drake.errors import InputError
-from tog_drake.object_parts import labels_file
-from tog_drake.scenario import Scenario, load_scenario, model_files, scenario_files
+from tog_drake.scenario import Scenario, load_scenario, scenario_files
 from tog_drake.view_options import ViewOptions
 
 CLUTTER = ("Household", "Kitchen", "Tools")
@@ -25,8 +23,6 @@ SCANNED = ("Tog29", "Tog29Bottles", "Tog29Toys", *SCANNED_CLUTTER)
 SEVERAL_CAMERAS = ("side_cameras", "MugHandleHidden", "BottleFromAbove")
 """Scenarios about views, of objects that have scenarios of their own."""
 _NAME = 80  # characters of a cell's name, in which only its number must be unique
-_OF_MODEL = {".sdf", ".urdf", ".obj", ".mtl", ".gltf", ".glb", ".bin", ".stl", ".png", ".jpg"}
-_PREVIEW = "preview.png"
 
 
 @dataclass(frozen=True)
@@ -142,24 +138,6 @@ def cell_scenario(cell: Cell) -> Scenario:
 def worlds_of(cells: Iterable[Cell]) -> list[Cell]:
     """Returns one cell of each world that a run needs, whatever the seed."""
     return list({(cell.scenario, cell.object): cell for cell in cells}.values())
-
-
-def model_hashes(cells: Iterable[Cell]) -> dict[str, str]:
-    """Returns of each object in any scenario the SHA-256 of its model's files and its labels."""
-    files: dict[str, Path] = {}
-    for cell in worlds_of(cells):
-        files |= model_files(cell_scenario(cell))
-    return {name: _hash(file) for name, file in sorted(files.items())}
-
-
-def _hash(model: Path) -> str:
-    of_model = {path for path in model.parent.iterdir() if path.suffix.lower() in _OF_MODEL}
-    of_model -= {model.parent / _PREVIEW}
-    labels = labels_file(model)
-    total = hashlib.sha256()
-    for path in [*sorted(of_model), *([labels] if labels is not None else [])]:
-        total.update(path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest())
-    return total.hexdigest()
 
 
 def scenario_of(object_: str) -> str:

@@ -1,8 +1,14 @@
 """Work that is done on a Ray cluster: in processes of this machine, or of many.
 
-Every machine of the cluster has this package, in the same version, and the same imported objects;
-what is made there comes back to the one that asks. Ray listens on the network: it belongs on
-machines among themselves. Its usage statistics are not sent.
+Every machine of the cluster has the same program, and the objects and files that its episodes need:
+one where any is other, or missing, is refused by its name. Relative paths are read from the folder
+of the same name as where the run was begun; ``TOG_ASSETS``, ``TOG_WEIGHTS`` and ``TOG_PRICES``
+travel as they are set there, and nothing else of the environment: a key belongs into the one that
+``ray start`` is run in, for Ray would keep it in the open. What is made comes back to the one that
+asks; a cassette that is recorded lies where it was asked, unless that folder is a shared one.
+
+Ray listens on the network: it belongs on machines among themselves. Its usage statistics are not
+sent.
 """
 
 import os
@@ -10,15 +16,55 @@ import socket
 import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from tog_drake import weights
+from tog_drake.assets import library
 from tog_drake.benchmark.processes import ATTEMPTS, LIFE, Broken, attempt
 from tog_drake.errors import InputError
+from tog_drake.selectors.vlm import prices
+from tog_drake.selectors.vlm.keys import NoKey
 from tog_drake.terminal import keep_drake_quiet
+
+if TYPE_CHECKING:
+    from tog_drake.benchmark.cells import Cell
+    from tog_drake.benchmark.runner import CellWork
 
 _PATIENCE = 10.0  # [s] for a machine to take a connection
 INSTALL = "pip install 'tog_drake[cluster]'"
+TRAVEL = (library.VARIABLE, weights.VARIABLE, prices.VARIABLE)
+"""Variables of the environment, each a path, that hold on the whole cluster."""
+
+
+@dataclass(frozen=True)
+class Asker:
+    """Where a run was begun."""
+
+    folder: Path  # from which relative paths are read
+    environment: dict[str, str]
+
+    @staticmethod
+    def here() -> "Asker":
+        """Returns what is so in this process."""
+        set_here = {name: os.environ.get(name, "") for name in TRAVEL}
+        paths = {
+            name: str(Path(path).expanduser().resolve()) for name, path in set_here.items() if path
+        }
+        return Asker(Path.cwd(), paths)
+
+    def enter(self) -> None:
+        """Makes this process one that reads the same files."""
+        os.environ.update(self.environment)
+        try:
+            os.chdir(self.folder)
+        except OSError as error:
+            raise InputError(
+                f"there is no folder {self.folder}, where the run was begun and relative paths are "
+                "read from; valid: to begin it in a folder that every machine of the cluster has, "
+                "if need be an empty one"
+            ) from error
 
 
 def on_cluster(
@@ -107,8 +153,8 @@ def _no_answer(where: str, error: Exception) -> InputError:
 def _run(
     ray: Any, work: Callable[[Any], Any], jobs: Iterator[Any]
 ) -> Generator[tuple[Any, Any], None, None]:
-    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1, max_calls=LIFE)(_do)
-    shared, mine = ray.put(work), version("tog_drake")
+    remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1, max_calls=LIFE)(do)
+    asker, shared = ray.put(Asker.here()), ray.put(work)
     under_way: dict[Any, Any] = {}  # the job of each reference
     left = True
     while left or under_way:
@@ -116,7 +162,7 @@ def _run(
         while left and len(under_way) < max(room, 1):
             job = next(jobs, None)
             if left := job is not None:
-                under_way[remote.remote(shared, job, mine)] = job
+                under_way[remote.remote(asker, shared, job)] = job
         if under_way:
             (ended, *_), _ = ray.wait(list(under_way))
             yield under_way.pop(ended), _result(ray, ended)
@@ -142,12 +188,22 @@ def _result(ray: Any, ended: Any) -> Any:
     return result
 
 
-def _do(work: Callable[[Any], Any], job: Any, wanted: str) -> Any:
-    """Does a job in a worker of the cluster."""
+def do(asker: Asker, work: "CellWork", job: "Cell") -> Any:
+    """Does a job in a worker of the cluster; what it raises comes back as a value."""
     keep_drake_quiet()
-    if (mine := version("tog_drake")) != wanted:
+    here = os.uname().nodename
+    try:
+        asker.enter()
+        if differs := work.others(job):
+            raise InputError(
+                f"it has other than the machine that asks: {', '.join(differs)}; valid: the same "
+                "version, objects and files on every machine of the cluster"
+            )
+    except NoKey as error:
         return InputError(
-            f"{os.uname().nodename} has tog_drake {mine}, and {wanted} asks; valid: the same "
-            "version on every machine of the cluster"
+            f"{here}: {error} where `ray start` is run there; keys do not travel in a cluster"
         )
-    return attempt(work, job)
+    except InputError as error:
+        return InputError(f"{here}: {error}")
+    result = attempt(work, job)
+    return InputError(f"{here}: {result}") if isinstance(result, InputError) else result

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from tog_drake.benchmark.tables import Rows, in_order, methods_of, runs_of
+from tog_drake.benchmark.tables import Rows, in_table_order, methods_of, runs_of
 
 if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
@@ -19,7 +19,7 @@ def cost_rows(lines: Sequence["Line"]) -> Rows:
     took as long and cost as much when they were asked. ``cost`` [USD] is None where the price of
     a question is not known; so are ``tokens``.
     """
-    lines = in_order(lines)
+    lines = in_table_order(lines)
     rows: Rows = []
     for method in methods_of(lines):
         runs = runs_of(line for line in lines if line["cell"]["method"] == method)

@@ -1,11 +1,11 @@
 """What failed, what it took and how judges agree, as tables for people."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tog_drake.benchmark.costs import cost_rows
 from tog_drake.benchmark.failures import failure_rows, motion_rows, rejection_rows
-from tog_drake.benchmark.human_labels import agreements
+from tog_drake.benchmark.human_labels import Labels, agreements
 from tog_drake.benchmark.sheets import Sheet, make_sheet
 from tog_drake.benchmark.success_sheets import paper
 
@@ -13,14 +13,12 @@ if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
 
 
-def detail_sheets(
-    lines: Sequence["Line"], labels: Mapping[str, bool | None] | None = None
-) -> list[Sheet]:
+def detail_sheets(lines: Sequence["Line"], labels: Labels | None = None) -> list[Sheet]:
     """Returns the tables besides those of successes; what has nothing to tell is left out.
 
     Args:
         lines: the episodes.
-        labels: what people said of them; see ``human_labels.read_labels``.
+        labels: what people said of them; see ``human_labels.labels_of``.
     """
     sheets = (
         _failures(lines),
@@ -107,7 +105,7 @@ def words(identifier: str) -> str:
     return identifier.replace("_", " ")
 
 
-def _judges(lines: Sequence["Line"], labels: Mapping[str, bool | None]) -> Sheet:
+def _judges(lines: Sequence["Line"], labels: Labels) -> Sheet:
     rows = [
         (
             who.capitalize(),

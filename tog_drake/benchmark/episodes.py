@@ -2,28 +2,34 @@
 
 import gzip
 import io
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tog_drake.benchmark.cells import Cell, cell_scenario
 from tog_drake.benchmark.human_labels import PICTURE
+from tog_drake.benchmark.identity import digests, others
 from tog_drake.benchmark.journal import JudgeRecord, Line, Result
-from tog_drake.benchmark.judging import VlmJudge, grasp_pictures
-from tog_drake.benchmark.processes import Broken
+from tog_drake.benchmark.judging import grasp_pictures, vlm_judge
+from tog_drake.benchmark.processes import Broken, broken_by
 from tog_drake.benchmark.suite import Trial
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
-from tog_drake.episode import Episode, enter_compliance, load_objects, run_episode
+from tog_drake.episode import Episode, enter_compliance, run_episode
 from tog_drake.errors import InputError
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
 from tog_drake.pipeline import Decision
 from tog_drake.record import EpisodeRecord, new_record
 from tog_drake.scenario import Scenario
-from tog_drake.sharing import SharedWork
+from tog_drake.selectors.vlm.dialogue import all_exchanges
+from tog_drake.sharing import SharedWork, program_digest
+from tog_drake.values import Exchange
 from tog_drake.visualization import make_meshcat
-from tog_drake.vlm_record import exchanges_of
+from tog_drake.vlm_record import exchange_records, exchanges_of
+from tog_drake.world import load_objects
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,8 @@ class EpisodeWork:
     checkpoint: Path | None = None  # weights, for the proposers that have any
     judge: str | None = None  # a model that judges besides, such as "vlm:gemini:NAME"
     replays: bool = False  # whether each is recorded, to be played in a browser
+    program: str = field(default_factory=program_digest)  # found out once, where the run begins
+    asked: Mapping[str, Any] = field(default_factory=dict)  # the content of run.json
 
     def configured(self, cell: Cell) -> Scenario:
         """Returns the scenario of a cell with its method.
@@ -46,21 +54,40 @@ class EpisodeWork:
         cell.method.apply(scenario.pipeline, self.options, self.checkpoint)
         return scenario
 
+    def others(self, cell: Cell) -> list[str]:
+        """Says what of the program and of a cell's files is other here than where the run began.
+
+        Raises:
+            InputError: the cell cannot be run here.
+        """
+        if program_digest() != self.program:
+            return ["program"]
+        return others(self.asked, digests([cell], self.configured))
+
     def __call__(self, cell: Cell) -> Result:
-        """Runs a cell. Raises InputError with its name."""
-        try:
-            scenario = self.configured(cell)
-            labels = load_objects(scenario)[cell.object]
-            episode = run_episode(
-                scenario,
-                name=cell.scenario,
-                task=cell.task,
-                target=cell.object,
-                meshcat=make_meshcat() if self.replays else None,
-                shared=SharedWork(self.shared),
-            )
-        except InputError as error:
-            raise InputError(f"{cell.name}: {error}") from error
+        """Runs a cell; what it asked before it broke is in the record, for it has its price.
+
+        Raises InputError with the cell's name.
+        """
+        with all_exchanges() as exchanges:
+            try:
+                return self._run(cell)
+            except InputError as error:
+                raise InputError(f"{cell.name}: {error}") from error
+            except (Exception, SystemExit) as error:  # by the latter Drake ends, or what it calls
+                return self.broken(cell, broken_by(error), exchanges)
+
+    def _run(self, cell: Cell) -> Result:
+        scenario = self.configured(cell)
+        labels = load_objects(scenario)[cell.object]
+        episode = run_episode(
+            scenario,
+            name=cell.scenario,
+            task=cell.task,
+            target=cell.object,
+            meshcat=make_meshcat() if self.replays else None,
+            shared=SharedWork(self.shared, self.program),
+        )
         lines = [
             Line(
                 cell=cell.record(trial),
@@ -72,15 +99,19 @@ class EpisodeWork:
         return Result(lines, files_of(episode))
 
     def _judged(self, decision: Decision, trial: Trial) -> JudgeRecord | None:
-        return None if self.judge is None else VlmJudge(self.judge).judge(decision, trial.task)
+        return None if self.judge is None else vlm_judge(self.judge).judge(decision, trial.task)
 
-    def broken(self, cell: Cell, broken: Broken) -> Result:
-        """Returns the lines of a cell in which the program itself failed, and why."""
+    def broken(self, cell: Cell, broken: Broken, exchanges: Sequence[Exchange] = ()) -> Result:
+        """Returns the lines of a cell in which the program itself failed, and why.
+
+        ``exchanges`` are those with models before, as far as they are known.
+        """
         scenario = self.configured(cell)
         labels = load_objects(scenario)[cell.object]
         record = new_record(Decision(), scenario.pipeline, task=cell.task, seed=cell.seed)
         record["scenario"], record["object"] = cell.scenario, cell.object
         record["outcome"], record["message"] = "broken", broken.message
+        record["attempts"][0]["exchanges"] = exchange_records(exchanges)
         record["grasp_success"] = record["strict_success"] = False
         record["noise"] = cell.noise
         lines = [

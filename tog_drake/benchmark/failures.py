@@ -5,12 +5,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from tog_drake.benchmark.tables import TASK_BLIND, Rows, in_order, methods_of, runs_of
+from tog_drake.benchmark.tables import TASK_BLIND, Rows, in_table_order, methods_of, runs_of
 from tog_drake.judge import COMPLIANT_SHARE
 
 if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
 
+_NUMBER = re.compile(r"(?<![\w.])\d+(\.\d+)?(e[-+]?\d+)?(?!\.?\w)")
+"""A number that stands alone: the one in ycb_006_mustard_bottle is part of a name."""
 _TIE = 0.05  # by which a share may be smaller than the greatest and count as great
 
 
@@ -21,7 +23,7 @@ def failure_rows(lines: Sequence["Line"]) -> Rows:
     "held by" that part; it is no failure of a method that was not told. Numbers in a reason are
     left out, so that like reasons are one.
     """
-    lines = in_order(lines)
+    lines = in_table_order(lines)
     found: dict[tuple[str, str, str], list[str]] = {}
     reading = [line for line in lines if line["cell"]["selector"] not in TASK_BLIND]
     blind = runs_of(line for line in lines if line["cell"]["selector"] in TASK_BLIND)
@@ -55,7 +57,7 @@ def rejection_rows(lines: Sequence["Line"]) -> Rows:
     of methods chose among them. ``share`` is of all that were proposed in the ``scenes``.
     """
     scenes: dict[str, dict[tuple[str, str, int], Line]] = {}
-    for line in in_order(lines):
+    for line in in_table_order(lines):
         cell = line["cell"]
         if line["record"]["rejected"]:
             seen = scenes.setdefault(cell["proposer"] or line["record"]["proposer"]["kind"], {})
@@ -86,7 +88,7 @@ def motion_rows(lines: Sequence["Line"]) -> Rows:
 
     Numbers in a note are left out, so that like notes are one.
     """
-    lines = in_order(lines)
+    lines = in_table_order(lines)
     rows: Rows = []
     for method in methods_of(lines):
         of_method = runs_of(line for line in lines if line["cell"]["method"] == method)
@@ -97,7 +99,7 @@ def motion_rows(lines: Sequence["Line"]) -> Rows:
 
 
 def _alike(text: str) -> str:
-    return re.sub(r"\d+(\.\d+)?", "#", text)
+    return _NUMBER.sub("#", text)
 
 
 def _greatest(shares: Mapping[str, float]) -> set[str]:
@@ -106,7 +108,7 @@ def _greatest(shares: Mapping[str, float]) -> set[str]:
     return {part for part, share in shares.items() if share > most - _TIE}
 
 
-def agreement(lines: Sequence["Line"]) -> dict[str, int]:
+def fingers_and_pads(lines: Sequence["Line"]) -> dict[str, int]:
     """Returns how the part between the fingers agrees with the one that the pads then press.
 
     Of the episodes that were lifted (``n``; one whatever number of tasks it is judged for):

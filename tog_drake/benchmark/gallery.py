@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from tog_drake.benchmark.costs import exchanges
 from tog_drake.benchmark.journal import episode_folder
 from tog_drake.benchmark.sheets import shown
-from tog_drake.record import usage
+from tog_drake.record import chosen_region, usage
 from tog_drake.visible_text import visible
 
 if TYPE_CHECKING:
@@ -123,12 +123,14 @@ def _card(run: "Run", line: "Line", pictures: Pictures, replays: Replays) -> dic
     sent = sorted(folder.glob(SENT), key=_number) if folder is not None else []
     choice = record["choice"]
     vlm = record["vlm"]
+    other = choice is not None and choice["planned_index"] not in (None, choice["index"])
     facts = {
         "Scene": f"{cell['scenario']}, {cell['object']}, seed {cell['seed']}",
         "Outcome": ": ".join(filter(None, (record["outcome"], record["message"]))),
         "Chosen": None if choice is None else choice["part"] or f"grasp {choice['index']}",
         "Reason": None if choice is None else choice["reason"],
-        "Between the fingers": _shares(record["closes_on"] or {}),
+        "It closes on": _shares(chosen_region(record) or {}),
+        "Carried out": f"another grasp, on {_shares(record['closes_on'] or {})}" if other else None,
         "Held by": _shares(record["held"]),
         "Task allows": ", ".join(record["allowed"] or ()),
         "Beyond the hand": cell["beyond"],

@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
-from tog_drake.benchmark.journal import LABELS, PICTURES, Line, episode_folder, read_run
+from tog_drake.benchmark.journal import LABELS, PICTURES, Line, Run, episode_folder, read_run
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 from tog_drake.judge import complies
+from tog_drake.pages import page_environment
+from tog_drake.record import chosen_region
 from tog_drake.visible_text import visible
 
 PICTURE = "grasp.jpg"  # in the folder of an episode: the chosen grasp alone
 ANSWERS = {"yes": True, "no": False, "unclear": None}
-_TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 _MAX_ANSWERS = 10_000_000  # [byte]
 
 
@@ -66,31 +66,36 @@ def export_sample(folder: Path, out: Path, *, count: int, seed: int) -> int:
     Raises:
         InputError: there is no run, or no episode of it has a grasp to look at.
     """
-    pictures = [(line, _picture(folder, line)) for line in read_run(folder).lines]
-    shown = [(line, picture) for line, picture in pictures if picture is not None]
+    shown = list(_grasps(read_run(folder)).items())
     if not shown:
         raise InputError(f"{folder} has no picture of a grasp to judge ({PICTURES}/*/{PICTURE})")
     rows = np.random.default_rng(seed).permutation(len(shown))[:count]
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES), autoescape=True, trim_blocks=True
-    )
     items = [
         {
-            "id": identifier(line),
+            "id": name,
             "task": visible(line["cell"]["task"], limit=500),
             "picture": base64.b64encode(picture).decode(),
         }
-        for line, picture in (shown[row] for row in rows)
+        for name, (line, picture) in (shown[row] for row in rows)
     ]
-    page = environment.get_template("human_labels.html.j2").render(items=items)
+    page = page_environment().get_template("human_labels.html.j2").render(items=items)
     write_atomically(out, page)
     return len(items)
 
 
-def identifier(line: Line) -> str:
-    """What an answer is about: it tells nobody who chose, nor what came of it."""
-    about = f"{line['cell']['name']}\n{line['cell']['task']}"
-    return hashlib.sha256(about.encode()).hexdigest()[:16]
+def identifier(line: Line, picture: bytes) -> str:
+    """Returns what an answer is about: an episode, its task and the very picture that is judged.
+
+    It tells nobody who chose, nor what came of it.
+    """
+    about = f"{line['cell']['name']}\n{line['cell']['task']}\n".encode()
+    return hashlib.sha256(about + hashlib.sha256(picture).digest()).hexdigest()[:16]
+
+
+def _grasps(run: Run) -> dict[str, tuple[Line, bytes]]:
+    """The lines that there is a picture of, with it, by ``identifier``."""
+    found = ((line, _picture(run.folder, line)) for line in run.lines)
+    return {identifier(line, data): (line, data) for line, data in found if data is not None}
 
 
 def _picture(run: Path, line: Line) -> bytes | None:
@@ -111,20 +116,39 @@ def import_answers(folder: Path, answers: Path) -> int:
     Raises:
         InputError: there is no run, or the file is none of its page.
     """
-    known = {identifier(line) for line in read_run(folder).lines}
+    known = _grasps(read_run(folder))
     given = _read_answers(answers)
     if strange := [name for name in given if name not in known]:
         raise InputError(
-            f"{answers}: {strange[0]!r} is no episode of {folder}; valid: the answers of the page "
-            "that was made of this run"
+            f"{answers}: {strange[0]!r} is no grasp of {folder}, or its picture has changed since; "
+            "valid: the answers of a page that was made of this run as it is now"
         )
-    labels = read_labels(folder) | given
+    labels = _read_labels(folder) | given
     write_atomically(folder / LABELS, json.dumps(labels, indent=1) + "\n")
-    return sum(label is not None for label in labels.values())
+    return sum(label is not None for name, label in labels.items() if name in known)
 
 
-def read_labels(folder: Path) -> dict[str, bool | None]:
-    """Returns what people said of a run's grasps, by ``identifier``; None: it was unclear."""
+Labels = Mapping[tuple[str, str], bool | None]
+"""What people said of grasps, by the name of the episode and the task; None: it was unclear."""
+
+
+def labels_of(run: Run) -> Labels:
+    """Returns what people said of a run's grasps, as far as the pictures that they saw are there.
+
+    Raises:
+        InputError: the file that holds it was damaged.
+    """
+    labels = _read_labels(run.folder)
+    grasps = _grasps(run) if labels else {}
+    return {_about(line): labels[n] for n, (line, _) in grasps.items() if n in labels}
+
+
+def _about(line: Line) -> tuple[str, str]:
+    return line["cell"]["name"], line["cell"]["task"]
+
+
+def _read_labels(folder: Path) -> dict[str, bool | None]:
+    """What people said, by ``identifier``."""
     path = folder / LABELS
     if not path.exists():
         return {}
@@ -161,16 +185,16 @@ def _checked(content: Any, path: Path) -> dict[str, bool | None]:
     return dict(content)
 
 
-def agreements(lines: Sequence[Line], labels: Mapping[str, bool | None]) -> dict[str, Agreement]:
+def agreements(lines: Sequence[Line], labels: Labels) -> dict[str, Agreement]:
     """Returns how those agree who judged whether the chosen grasp suits the task.
 
-    The geometric judge is the one of the region that the grasp closes on; see ``judge.complies``.
+    The geometric judge is the one of the region that this grasp closes on; see ``judge.complies``.
     """
-    said: dict[str, dict[str, bool]] = {"geometry": {}, "model": {}, "people": {}}
+    said: dict[str, dict[tuple[str, str], bool]] = {"geometry": {}, "model": {}, "people": {}}
     for line in lines:
-        name, record, judge = identifier(line), line["record"], line["judge"]
-        closes_on = record["closes_on"]
-        by_labels = None if closes_on is None else complies(closes_on, record["allowed"])
+        name, record, judge = _about(line), line["record"], line["judge"]
+        region = chosen_region(record)
+        by_labels = None if region is None else complies(region, record["allowed"])
         by_model = None if judge is None else judge["complies"]
         for who, suits in (
             ("geometry", by_labels),

@@ -3,7 +3,9 @@
 ``run.json`` says what was asked for: all that decides a result, nothing else. ``episodes.jsonl``
 has one line for every task of every episode that ended, in the order in which they ended; the lines
 of one episode are written at once and are on the disk before the next. What a kill tore at the
-end of the file is no line: it is cut off, and that episode is run again.
+end of the file is no line: it is cut off, and that episode is run again. ``rejected.jsonl`` has
+such lines of episodes that do not count and will be run again, because a server did not take a
+question: other questions of theirs may have been paid for.
 """
 
 import fcntl
@@ -15,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypedDict
 
+from tog_drake.benchmark.line_check import CONFIG, LINE, misfit
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
 
@@ -23,9 +26,14 @@ if TYPE_CHECKING:
 
 SCHEMA = "tog_drake/run/1"
 """Name and version of a run's folder; the number changes when a field changes its meaning."""
-RUN, EPISODES, PICTURES = "run.json", "episodes.jsonl", "episodes"
+RUN, EPISODES, REJECTED, PICTURES = "run.json", "episodes.jsonl", "rejected.jsonl", "episodes"
+COMMAND = "command"
+"""Field of a ``run.json``: the words that run the same again. It is not compared: others may say
+the same, such as by another way to a file."""
 SHARED = "shared"  # folder of what episodes share
 LABELS = "labels.json"  # what people said of the grasps, see human_labels
+MAX_RUN = 10_000_000  # [byte] of run.json; ours have a few thousand
+MAX_LINE = 10_000_000  # [byte] of a line; ours have 3,000, and with a model some ten thousand
 _SHOWN = 10  # differences between two configurations that a message tells
 
 
@@ -105,15 +113,19 @@ def read_run(folder: Path) -> Run:
             f"{folder} holds no run ({RUN} is missing); valid: the --out of a `tog eval`"
         )
     lines: list[Line] = []
-    if (folder / EPISODES).exists():
-        lines, _ = _whole_episodes((folder / EPISODES).read_bytes(), folder / EPISODES)
-    return Run(folder, config, _in_order(lines))
+    try:
+        if (folder / EPISODES).exists():
+            with (folder / EPISODES).open("rb") as file:
+                lines, _ = _whole_episodes(file, folder / EPISODES)
+    except OSError as error:
+        raise InputError(f"{folder / EPISODES} cannot be read: {error.strerror}") from error
+    return Run(folder, config, _in_run_order(lines))
 
 
 class Journal:
     """The file of a run that is under way. Nobody else can write it meanwhile.
 
-    ``lines`` are those so far, in the order of the run.
+    ``lines`` are those so far, in the order of the run; ``rejected`` those that do not count.
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any], *, fresh: bool = False):
@@ -134,7 +146,11 @@ class Journal:
         try:
             self._lock()
             self._begin(json.loads(json.dumps(config)), fresh)
-            self.lines = self._recover()
+            self.lines = _recover(self._file, folder / EPISODES)
+            self.rejected: list[Line] = []
+            if (folder / REJECTED).exists():
+                with (folder / REJECTED).open("r+b") as file:
+                    self.rejected = _recover(file, folder / REJECTED)
         except BaseException:
             self._file.close()
             raise
@@ -150,10 +166,14 @@ class Journal:
         lines = result.lines
         for name, content in result.files.items():
             write_atomically(self.folder / PICTURES / lines[0]["cell"]["name"] / name, content)
-        self._file.write("".join(json.dumps(line) + "\n" for line in lines).encode())
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self.lines = _in_order([*self.lines, *lines])
+        _write(self._file, lines)
+        self.lines = _in_run_order([*self.lines, *lines])
+
+    def reject(self, result: Result) -> None:
+        """Writes the lines of an episode that does not count: the next start runs it again."""
+        with (self.folder / REJECTED).open("ab") as file:
+            _write(file, result.lines)
+        self.rejected += result.lines
 
     def _lock(self) -> None:
         try:
@@ -177,25 +197,41 @@ class Journal:
             self._file.truncate(0)
             shutil.rmtree(self.folder / PICTURES, ignore_errors=True)
             shutil.rmtree(self.folder / SHARED, ignore_errors=True)
-            (self.folder / LABELS).unlink(missing_ok=True)
+            for name in (LABELS, REJECTED):
+                (self.folder / name).unlink(missing_ok=True)
         elif changed := differences(old, config):
+            told = "; ".join(changed[:_SHOWN])
             more = f"; and {len(changed) - _SHOWN} more" if len(changed) > _SHOWN else ""
+            edited = old.get("program") != config.get("program")
+            why = "The program is another than then: results may differ. " if edited else ""
             raise InputError(
-                f"{self.folder} holds another run: {'; '.join(changed[:_SHOWN])}{more}. Valid: the "
-                "same options, to go on with it; another --out; or --fresh, which deletes it"
+                f"{self.folder} holds another run: {told}{more}. {why}Valid: the same options, "
+                "program and files, to go on with it; another --out; or --fresh, which deletes it"
             )
         else:
             return
         write_atomically(path, json.dumps(config, indent=1) + "\n")
 
-    def _recover(self) -> list[Line]:
-        self._file.seek(0)
-        data = self._file.read()
-        lines, size = _whole_episodes(data, self.folder / EPISODES)
-        if size < len(data):
-            self._file.truncate(size)
-            os.fsync(self._file.fileno())
-        return _in_order(lines)
+
+def _write(file: BinaryIO, lines: Sequence[Line]) -> None:
+    """Writes lines at once. Raises InputError for one so long that it could not be read again."""
+    written = [json.dumps(line).encode() + b"\n" for line in lines]
+    if (longest := max(map(len, written))) > MAX_LINE:
+        name = lines[0]["cell"]["name"]
+        raise InputError(f"{name}: its line would have {longest} bytes; valid: {MAX_LINE}")
+    file.write(b"".join(written))
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _recover(file: BinaryIO, path: Path) -> list[Line]:
+    """The lines of a file that is open for writing; what a kill tore at its end is cut off."""
+    file.seek(0)
+    lines, size = _whole_episodes(file, path)
+    if size < file.seek(0, os.SEEK_END):
+        file.truncate(size)
+        os.fsync(file.fileno())
+    return _in_run_order(lines)
 
 
 def differences(was: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
@@ -204,7 +240,7 @@ def differences(was: Mapping[str, Any], asked: Mapping[str, Any]) -> list[str]:
     return [
         f"{name} was {old.get(name, 'not there')}, asked is {new.get(name, 'none')}"
         for name in dict.fromkeys([*old, *new])
-        if old.get(name) != new.get(name)
+        if name != COMMAND and old.get(name) != new.get(name)
     ]
 
 
@@ -220,48 +256,73 @@ def _fields(config: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, s
 def _read_config(path: Path) -> dict[str, Any] | None:
     """The content of a ``run.json``; None where there is none."""
     try:
-        content = json.loads(path.read_bytes())
+        with path.open("rb") as file:
+            data = file.read(MAX_RUN + 1)
+        if len(data) > MAX_RUN:
+            raise InputError(f"{path} has more than {MAX_RUN} bytes; valid: another folder")
+        content = json.loads(data)
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read: {error}; valid: another folder") from error
     schema = content.get("schema") if isinstance(content, dict) else None
     if schema != SCHEMA:
-        raise InputError(f"{path} is of schema {schema!r}, not {SCHEMA}; valid: another folder")
+        raise InputError(
+            f"{path} is of schema {schema!r:.100}, not {SCHEMA}; valid: another folder"
+        )
+    if (wrong := misfit(content, CONFIG, RUN)) is not None:
+        raise InputError(f"{path} is no {RUN} of a run: {wrong}; valid: another folder")
     return dict(content)
 
 
-def _whole_episodes(data: bytes, file: Path) -> tuple[list[Line], int]:
+def _whole_episodes(file: BinaryIO, path: Path) -> tuple[list[Line], int]:
     """The lines of episodes that were written whole, and how many bytes these take.
 
     Only the last episode can be torn. Anything else that is no line is damage.
+
+    Raises:
+        InputError: naming file and line.
     """
     lines: list[Line] = []
     episode: list[Line] = []
-    size = end = 0
-    for raw in data.split(b"\n")[:-1]:  # after the last newline is nothing, or what was torn
-        end += len(raw) + 1
+    size = end = number = 0
+    while (raw := file.readline(MAX_LINE + 1)).endswith(b"\n"):
+        number, end = number + 1, end + len(raw)
         try:
-            line: Line = json.loads(raw)
-            cell = line["cell"]
-            whole = cell["tasks"] == len(episode) + 1
-            known = isinstance(line["record"], dict) and isinstance(cell["number"], int)
-            known &= all(cell["name"] == before["cell"]["name"] for before in episode)
-        except (ValueError, LookupError, TypeError, RecursionError):
-            known = whole = False
-        if not known:
-            if end == len(data):
-                break
-            raise InputError(
-                f"{file}: what ends at byte {end} is no line of a run; the file was damaged or "
-                "changed. Valid: --fresh, another folder, or to delete that line"
-            )
+            line = json.loads(raw)
+        except (ValueError, RecursionError):
+            if not file.read(1):
+                break  # it is the last
+            wrong: str | None = "it is no JSON"
+        else:
+            wrong = misfit(line, LINE, "line") or _out_of_place(line, episode)
+        if wrong is not None:
+            raise _damaged(path, number, wrong)
         episode.append(line)
-        if whole:
+        if line["cell"]["tasks"] == len(episode):
             lines += episode
             episode, size = [], end
+    if len(raw) > MAX_LINE:
+        raise _damaged(path, number + 1, f"it has more than {MAX_LINE} bytes")
     return lines, size
 
 
-def _in_order(lines: Sequence[Line]) -> list[Line]:
+def _out_of_place(line: Line, episode: Sequence[Line]) -> str | None:
+    """Says so where a line does not belong to the episode whose lines before it are given."""
+    cell = line["cell"]
+    if cell["tasks"] <= len(episode):
+        return f"it is line {len(episode) + 1} of an episode of {cell['tasks']}"
+    if any(before["cell"]["name"] != cell["name"] for before in episode):
+        return f"the episode {episode[0]['cell']['name']!r:.100} before it is not whole"
+    return None
+
+
+def _damaged(path: Path, number: int, wrong: str) -> InputError:
+    return InputError(
+        f"{path}, line {number}: {wrong}; the file was damaged or changed. Valid: --fresh, another "
+        "folder, or to delete that line"
+    )
+
+
+def _in_run_order(lines: Sequence[Line]) -> list[Line]:
     return sorted(lines, key=lambda line: line["cell"]["number"])  # stable: tasks as written

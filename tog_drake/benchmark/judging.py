@@ -6,6 +6,7 @@ it stands beside the judge that reads the labels, and does not replace it.
 """
 
 import time
+from functools import cache
 
 import numpy as np
 
@@ -82,16 +83,20 @@ class VlmJudge:
         )
 
 
-def grasp_pictures(decision: Decision) -> tuple[Image, Image] | None:
-    """Returns the scene, and the same with the hand that was chosen; None where none was.
+@cache
+def vlm_judge(wanted: str) -> VlmJudge:
+    """Returns the judge of a model: one, however many grasps a process has to be judged.
 
-    Where there is a motion it is that one's, which may be an alternative to the choice.
+    Raises as ``VlmJudge``.
     """
-    view, cloud, candidates = decision.shown, decision.cloud, decision.candidates
-    if view is None or cloud is None or candidates is None or decision.choice is None:
+    return VlmJudge(wanted)
+
+
+def grasp_pictures(decision: Decision) -> tuple[Image, Image] | None:
+    """Returns the scene, and the same with the hand that was chosen; None where none was."""
+    view, cloud, choice = decision.shown, decision.cloud, decision.choice
+    if view is None or cloud is None or choice is None:
         return None
-    row = decision.choice.index if decision.motion is None else decision.motion.grasp_index
-    grasp = candidates.grasps.take(np.array([row]))
-    framing = frame_things(view, np.asarray(cloud.xyzs().T, np.float64), grasp)
-    drawn = draw_grippers(view, framing, grasp, [Mark("", _COLOR)], "paper")
+    framing = frame_things(view, np.asarray(cloud.xyzs().T, np.float64), choice.grasp)
+    drawn = draw_grippers(view, framing, choice.grasp, [Mark("", _COLOR)], "paper")
     return plain(view, framing), drawn

@@ -19,7 +19,9 @@ from tog_drake.terminal import keep_drake_quiet
 Job = TypeVar("Job")
 T = TypeVar("T")
 ATTEMPTS = 3  # of a job whose worker dies
-_PRELOADED = ["tog_drake.episode"]  # 2 s of imports, which a new worker need not repeat
+_PRELOADED = ["tog_drake.benchmark.episodes"]
+"""2 s of imports, which a new worker need not repeat; and whatever is edited meanwhile, all workers
+are of the same state of the program."""
 LIFE = 10  # jobs of a worker: not all memory of a diagram is given back, about 40 MB an episode
 
 
@@ -55,7 +57,7 @@ def in_processes(
         pool.end()
 
 
-def in_order(
+def in_job_order(
     jobs: Sequence[Job], ended: Iterable[tuple[Job, T | Broken]]
 ) -> Generator[T, None, None]:
     """Yields the results in the order of the jobs.
@@ -187,7 +189,7 @@ def _serve(pipe: Connection, work: Callable[[Job], T]) -> None:
         try:
             pipe.send(result)
         except (AttributeError, TypeError, ValueError, PicklingError) as error:
-            pipe.send(_broken(error))
+            pipe.send(broken_by(error))
 
 
 def attempt(work: Callable[[Job], T], job: Job) -> T | InputError | Broken:
@@ -197,10 +199,11 @@ def attempt(work: Callable[[Job], T], job: Job) -> T | InputError | Broken:
     except InputError as error:
         return InputError(str(error))
     except (Exception, SystemExit) as error:  # by the latter Drake ends, or what it calls
-        return _broken(error)
+        return broken_by(error)
 
 
-def _broken(error: BaseException) -> Broken:
+def broken_by(error: BaseException) -> Broken:
+    """Returns what a job ended in that raised this."""
     last = traceback.format_exception_only(type(error), error)[-1]
     return Broken(" ".join(last.split()), traceback.format_exc())
 

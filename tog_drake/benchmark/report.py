@@ -8,25 +8,24 @@ once; cards are built as they are looked at.
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
-
-import jinja2
+from typing import Any
 
 from tog_drake.benchmark.detail_sheets import detail_sheets
 from tog_drake.benchmark.figures import candidate_figure
 from tog_drake.benchmark.gallery import Pictures, Replays, cards
-from tog_drake.benchmark.human_labels import read_labels
-from tog_drake.benchmark.journal import Run, read_run
+from tog_drake.benchmark.human_labels import labels_of
+from tog_drake.benchmark.journal import COMMAND, Run, read_run
 from tog_drake.benchmark.sheets import Sheet, shown
 from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
-from tog_drake.benchmark.suite import suite_files
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
-from tog_drake.benchmark.tables import in_order, methods_of, runs_of
+from tog_drake.benchmark.tables import in_table_order, methods_of, runs_of
 from tog_drake.files import write_atomically
-from tog_drake.scenario import scenario_files
+from tog_drake.pages import page_environment
+from tog_drake.visible_text import visible
 
 PAGE = "report.html"
-_TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+_DIGESTS = ("files", "scenarios", "objects")  # of a run.json
+_LONGEST_COMMAND = 20_000  # characters
 
 
 def write_benchmark_report(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -68,7 +67,7 @@ def _names(runs: Sequence[Run]) -> list[str]:
 
 
 def _sheets(run: Run) -> list[Sheet]:
-    return success_sheets(run.lines) + detail_sheets(run.lines, read_labels(run.folder))
+    return success_sheets(run.lines) + detail_sheets(run.lines, labels_of(run))
 
 
 def _page(
@@ -77,24 +76,21 @@ def _page(
     sheets: Mapping[str, Sequence[Sheet]],
     scenes: Sheet | None,
 ) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.policies["json.dumps_kwargs"] = {"sort_keys": False}
     lines = [line for run in runs for line in run.lines]
     methods = dict.fromkeys(method for run in runs for method in methods_of(run.lines))
     gallery, left_out = _gallery(runs)
-    return environment.get_template("benchmark.html.j2").render(
-        title=shown(f"Grasping by task: {', '.join(names)}"),
-        summary=f"{len(lines)} tasks, {sum(len(runs_of(run.lines)) for run in runs)} episodes, "
-        f"{len(methods)} methods",
-        scenes=scenes,
-        runs=[_part(name, run, sheets[name]) for name, run in zip(names, runs, strict=True)],
-        gallery=gallery,
-        left_out=left_out,
+    return (
+        page_environment()
+        .get_template("benchmark.html.j2")
+        .render(
+            title=shown(f"Grasping by task: {', '.join(names)}"),
+            summary=f"{len(lines)} tasks, {sum(len(runs_of(run.lines)) for run in runs)} episodes, "
+            f"{len(methods)} methods",
+            scenes=scenes,
+            runs=[_part(name, run, sheets[name]) for name, run in zip(names, runs, strict=True)],
+            gallery=gallery,
+            left_out=left_out,
+        )
     )
 
 
@@ -104,7 +100,7 @@ def _part(name: str, run: Run, sheets: Sequence[Sheet]) -> dict[str, Any]:
     at = next((i for i, sheet in enumerate(sheets) if sheet.key == "candidates"), len(sheets))
     return {
         "title": shown(name),
-        "command": shown(command(run), 2000),
+        "command": visible(command(run), limit=_LONGEST_COMMAND, lines=True),
         "facts": {shown(key): shown(text, 2000) for key, text in _facts(run).items()},
         "figure": figure,
         "before": sheets[:at],
@@ -116,13 +112,15 @@ def _facts(run: Run) -> dict[str, str]:
     """What was asked for, in words."""
     said: dict[str, str] = {}
     for key, value in run.config.items():
-        if key in ("schema", "suite", "suite_sha256", "scenarios", "objects") or not value:
+        if key in ("schema", "suite", "suite_sha256", "program", COMMAND, *_DIGESTS) or not value:
             continue
         if text := _said(value):
             said[key.replace("_", " ").capitalize()] = text
-    files = [f"{len(run.config[of])} {of}" for of in ("scenarios", "objects") if of in run.config]
+    files = [f"{len(run.config[of])} {of}" for of in _DIGESTS if run.config.get(of)]
     if files:
         said["Files"] = f"suite, {', '.join(files)}: the SHA-256 of each is in run.json"
+    if program := run.config.get("program"):
+        said["Program"] = f"SHA-256 {str(program)[:12]}..."
     started = methods_of(run.lines)
     waiting = [name for name in run.config.get("methods", ()) if name not in started]
     if waiting:
@@ -131,38 +129,8 @@ def _facts(run: Run) -> dict[str, str]:
 
 
 def command(run: Run) -> str:
-    """Returns what runs the same again: `tog eval` with all that decides a result.
-
-    Methods are told by their episodes, so one that has none yet is not in it.
-    """
-    cells = [line["cell"] for line in run.lines]
-    config = run.config
-
-    def different(field: str) -> list[str]:
-        named = (cast(Mapping[str, Any], cell).get(field) for cell in cells)
-        return list(dict.fromkeys(str(name) for name in named if name is not None))
-
-    suite = str(config.get("suite"))
-    known = suite in suite_files() or suite in scenario_files()
-    words = ["tog", "eval", suite if known else f"{suite}.yaml"]  # a file of the user's
-    for option in ("proposer", "k", "selector"):
-        words += _option(option if option == "k" else f"{option}s", ",".join(different(option)))
-    words += _option("strategies", ",".join(different("strategy")))
-    words += _option("views", ",".join(different("view")))
-    for model in different("vlm"):
-        words += _option("vlm", model)
-    words += _option("seeds", config.get("seeds"))
-    words += _option("scenario-text", config.get("scenario_text"))
-    words += _option("judge", config.get("judge"))
-    for name, value in (config.get("asked") or {}).items():
-        words += _option(name, value)
-    words += _option("target", config.get("target"))
-    flags = [f"--{flag}" for flag in ("side-cameras", "fuse", "noise") if config.get(flag)]
-    return shlex.join([*words, *flags])
-
-
-def _option(name: str, value: Any) -> list[str]:
-    return [] if value in (None, "") else [f"--{name}", str(value)]
+    """Returns what runs the same again, fit for a shell; "" where an old run says none."""
+    return shlex.join(run.config.get(COMMAND, ()))
 
 
 def _said(value: Any) -> str:
@@ -179,7 +147,7 @@ def _gallery(runs: Sequence[Run]) -> tuple[dict[str, Any], str]:
     shown_cards = [
         card
         for run in runs
-        for card in cards(Run(run.folder, run.config, in_order(run.lines)), pictures, replays)
+        for card in cards(Run(run.folder, run.config, in_table_order(run.lines)), pictures, replays)
     ]
     encoded, (viewer, packed) = pictures.encoded(), replays.packed()
     missing = {

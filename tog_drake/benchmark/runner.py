@@ -1,26 +1,18 @@
 """Runs the cells of a benchmark that have not been run yet, whatever stopped it before."""
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
-from importlib.metadata import version
-from pathlib import Path
-from typing import Any, Protocol
+from contextlib import closing, contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from tog_drake.benchmark.cells import Cell, model_hashes, worlds_of
+from tog_drake.benchmark.cells import Cell
 from tog_drake.benchmark.costs import exchanges
-from tog_drake.benchmark.episodes import EpisodeWork
-from tog_drake.benchmark.journal import SCHEMA, Journal, Line, Result
-from tog_drake.benchmark.method import Method
+from tog_drake.benchmark.journal import Journal, Line, Result
 from tog_drake.benchmark.processes import Broken, in_processes
-from tog_drake.benchmark.suite import Suite
 from tog_drake.errors import NoProposal, TogError
-from tog_drake.scenario import scenario_files
 from tog_drake.terminal import say
 
 _WITHOUT_PRICE = (
@@ -38,6 +30,10 @@ class CellWork(Protocol):
 
     def __call__(self, cell: Cell) -> Result: ...
 
+    def others(self, cell: Cell) -> list[str]:
+        """Says what is other here than where the run began; see ``cluster``."""
+        ...
+
     def broken(self, cell: Cell, broken: Broken) -> Result:
         """Returns what is to be told of a cell in which the program failed."""
         ...
@@ -47,52 +43,6 @@ Parallel = Callable[
     [Callable[[Cell], Result], Iterable[Cell], int],
     Generator[tuple[Cell, Result | Broken], None, None],
 ]
-
-
-def run_config(
-    suite: Suite,
-    methods: Sequence[Method],
-    cells: Sequence[Cell],
-    work: EpisodeWork,
-    *,
-    seeds: int,
-) -> dict[str, Any]:
-    """Returns all that decides the results of a run, the content of its ``run.json``.
-
-    Raises:
-        InputError: a scenario or an object is not there, or a method cannot be run on it.
-    """
-    for cell in {(cell.scenario, cell.method): cell for cell in cells}.values():
-        work.configured(cell)
-    options, first = work.options, cells[0]
-    asked = ("profile", "rendering", "votes", "fallback", "replay", "deadline")
-    scenarios = sorted({cell.scenario for cell in worlds_of(cells)})
-    return {
-        "schema": SCHEMA,
-        "suite": suite.name,
-        "suite_sha256": suite.sha256,
-        "methods": [method.name for method in methods],
-        "seeds": seeds,
-        "noise": first.noise,
-        "side-cameras": first.views.side_cameras,
-        "fuse": first.views.fuse,
-        "target": first.views.target,
-        "scenario_text": first.text,
-        "asked": {name: _plain(getattr(options, name)) for name in asked},
-        "checkpoint": None if work.checkpoint is None else _sha256(work.checkpoint),
-        "judge": work.judge,
-        "version": version("tog_drake"),
-        "scenarios": {name: _sha256(scenario_files().get(name, Path(name))) for name in scenarios},
-        "objects": model_hashes(cells),
-    }
-
-
-def _plain(value: object) -> object:
-    return str(value) if isinstance(value, Path) else value
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def evaluate(
@@ -115,8 +65,9 @@ def evaluate(
         workers: how many cells at once.
         console: for the progress.
         limit: episodes of this time.
-        max_cost: [USD] that models may cost, with what they have cost in this run before; episodes
-            under way when it is reached end.
+        max_cost: [USD] that models may cost, with what they have cost in this run before, also for
+            episodes that broke or do not count. Episodes under way when it is reached end. What a
+            process had asked that was killed is not known.
         parallel: how to work on several cells at once, see ``in_processes``.
 
     Raises:
@@ -124,95 +75,113 @@ def evaluate(
             A question that was not taken is no line, so that it is asked again the next time.
         InputError: an episode cannot be run at all, naming it.
     """
-    done = {line["cell"]["name"] for line in journal.lines}
-    pending = [cell for cell in cells if cell.name not in done]
-    state = _State(max_cost, len(pending) if limit is None else limit)
-    state.count(journal.lines)
+    state = _State(journal, work, max_cost, limit)
+    pending = [cell for cell in cells if cell.name not in state.done]
     if not pending:
         return None
     try:
         with (
-            _progress(console) as progress,
+            _progress(console, len(cells), state) as tell,
             closing(parallel(work, state.wanted(pending), workers)) as ended,
         ):
-            bar = progress.add_task("episodes", total=len(cells), completed=len(done), said="")
             for cell, ending in ended:
-                result = work.broken(cell, ending) if isinstance(ending, Broken) else ending
-                if trouble := next(filter(None, map(_not_taken, result.lines)), None):
-                    state.trouble = state.trouble or trouble
-                    continue
-                journal.append(result)
-                done.add(cell.name)
-                state.count(result.lines)
-                progress.update(bar, advance=1, said=state.said)
+                state.enter(cell, ending)
+                tell()
     finally:  # Ctrl-C too
-        if len(done) < len(cells):
+        if missing := len(cells) - len(state.done):
             say(
                 console,
-                f"{len(done)} of {len(cells)} episodes are in {journal.folder}; the same command "
-                "again goes on from there",
+                f"{len(cells) - missing} of {len(cells)} episodes are in {journal.folder}; the "
+                "same command again goes on from there",
             )
     if state.trouble is not None:
         raise Stopped(state.trouble)
-    return state.enough() if len(done) < len(cells) else None
+    return state.enough() if missing else None
 
 
-def _progress(console: Console) -> Progress:
-    return Progress(
+@contextmanager
+def _progress(console: Console, total: int, state: "_State") -> Iterator[Callable[[], None]]:
+    """Shows how far a run is; yields what shows it anew."""
+    columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(elapsed_when_finished=True),
         TextColumn("{task.fields[said]}"),
-        console=console,
-        speed_estimate_period=600.0,
     )
+    with Progress(*columns, console=console, speed_estimate_period=600.0) as progress:
+        bar = progress.add_task("episodes", total=total, completed=len(state.done), said="")
+        yield lambda: progress.update(bar, completed=len(state.done), said=state.said)
 
 
-@dataclass
 class _State:
     """How far a run has come."""
 
-    max_cost: float | None
-    limit: int
-    begun: int = 0
-    cost: float = 0.0  # [USD]
-    failed: Counter[str] = field(default_factory=Counter)
-    trouble: str | None = None
+    def __init__(self, journal: Journal, work: CellWork, max_cost: float | None, limit: int | None):
+        self._journal, self._work = journal, work
+        self._max_cost, self._limit = max_cost, limit
+        self._begun = 0
+        self._cost = 0.0  # [USD]
+        self._failed: Counter[str] = Counter()
+        self.done: set[str] = set()  # names of episodes
+        self.trouble: str | None = None  # why no other is begun
+        self._count(journal.lines)
+        self._pay(journal.rejected)
+
+    def enter(self, cell: Cell, ending: Result | Broken) -> None:
+        """Writes down how an episode ended."""
+        result = self._work.broken(cell, ending) if isinstance(ending, Broken) else ending
+        if trouble := next(filter(None, map(_not_taken, result.lines)), None):
+            self.trouble = self.trouble or trouble
+            self._journal.reject(result)
+            self._pay(result.lines)
+        else:
+            self._journal.append(result)
+            self._count(result.lines)
 
     def wanted(self, cells: Iterable[Cell]) -> Iterator[Cell]:
         """Gives cells as long as there is a reason to run them."""
         for cell in cells:
             if self.trouble is not None or self.enough() is not None:
                 return
-            self.begun += 1
+            self._begun += 1
             yield cell
 
     def enough(self) -> str | None:
         """Why no further episode is begun, if so."""
-        if self.max_cost is not None and self.cost >= self.max_cost:
-            return f"--max-cost {self.max_cost:g} is reached: models have cost ${self.cost:.4f}"
-        return f"--limit {self.limit} is reached" if self.begun >= self.limit else None
+        if self._max_cost is not None and self._cost >= self._max_cost:
+            return f"--max-cost {self._max_cost:g} is reached: models have cost ${self._cost:.4f}"
+        if self._limit is not None and self._begun >= self._limit:
+            return f"--limit {self._limit} is reached"
+        return None
 
-    def count(self, lines: Sequence[Line]) -> None:
+    def _count(self, lines: Sequence[Line]) -> None:
         """Adds lines, all of those of an episode together."""
-        counted: set[str] = set()
         for line in lines:
             record, name = line["record"], line["cell"]["name"]
-            if record["outcome"] != "lifted" and name not in counted:
-                self.failed[record["outcome"]] += 1
+            if record["outcome"] != "lifted" and name not in self.done:
+                self._failed[record["outcome"]] += 1
             elif record["outcome"] == "lifted" and record["task_compliance"] is False:
-                self.failed["wrong part"] += 1
-            costs, unpriced = model_costs(line, answers=name not in counted)
-            self.cost += sum(costs)
-            if unpriced and self.max_cost is not None:
-                self.trouble = _WITHOUT_PRICE
-            counted.add(name)
+                self._failed["wrong part"] += 1
+            self.done.add(name)
+        self._pay(lines)
+
+    def _pay(self, lines: Sequence[Line]) -> None:
+        """Adds what models cost, whether or not anything came of it."""
+        last: str | None = None
+        for line in lines:
+            name = line["cell"]["name"]
+            costs, unpriced = model_costs(line, answers=name != last)
+            self._cost += sum(costs)
+            if unpriced and self._max_cost is not None:
+                self.trouble = self.trouble or _WITHOUT_PRICE
+            last = name
 
     @property
     def said(self) -> str:
-        failures = ", ".join(f"{n} {reason}" for reason, n in self.failed.most_common())
-        cost = f"${self.cost:.4f}" if self.cost else ""
+        """The failures and the cost, for the progress."""
+        failures = ", ".join(f"{n} {reason}" for reason, n in self._failed.most_common())
+        cost = f"${self._cost:.4f}" if self._cost else ""
         return "; ".join(part for part in (failures, cost) if part)
 
 

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tog_drake.benchmark.failures import agreement
+from tog_drake.benchmark.failures import fingers_and_pads
 from tog_drake.benchmark.sheets import Cell, Share, Sheet, make_sheet, share
 from tog_drake.benchmark.statistics import Rate
 from tog_drake.benchmark.tables import (
@@ -67,10 +67,11 @@ def main_sheet(lines: Sequence["Line"]) -> Sheet:
         for row in paper()["methods"]
     ]
     what = "; ".join(f"{TITLES[name]}: {text}" for name, text in RATES.items())
-    same = agreement(lines)
+    same = fingers_and_pads(lines)
     note = (
-        f"Rates with 95 % intervals (Wilson). {what}. An episode that ended early, an answer that "
-        "could not be read included, is a failure of each. The part between the fingers is the one "
+        f"Rates with 95 % intervals (Wilson). {what}. Of what an episode did not "
+        "come to it is a failure: without a choice, as where an answer could not be read, of each; "
+        "without a motion, of each but the chosen grasp. The part between the fingers is the one "
         f"that the pads then press in {same['agree']} of {same['n']} lifts. Published: "
         f"{paper()['source']}; judged by hand, of other scenes and another "
         "simulation; an interval stands where a count of so many trials gives the rate."

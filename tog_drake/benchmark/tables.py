@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tog_drake.benchmark.statistics import Rate, mcnemar
 from tog_drake.judge import complies
-from tog_drake.record import EpisodeRecord
+from tog_drake.record import EpisodeRecord, chosen_region
 
 if TYPE_CHECKING:
     from tog_drake.benchmark.journal import Line
@@ -36,31 +36,31 @@ GROUPS = ("category", "scenario", "object", "task")
 Rows = list[dict[str, Any]]
 
 
-def in_order(lines: Iterable["Line"]) -> list["Line"]:
+def in_table_order(lines: Iterable["Line"]) -> list["Line"]:
     """Returns the lines in the order of the run, in whatever order its episodes ended."""
     return sorted(lines, key=lambda line: (line["cell"]["number"], line["cell"]["task"]))
 
 
 def methods_of(lines: Iterable["Line"]) -> list[str]:
     """Returns the methods in the order of the run."""
-    return list(dict.fromkeys(line["cell"]["method"] for line in in_order(lines)))
+    return list(dict.fromkeys(line["cell"]["method"] for line in in_table_order(lines)))
 
 
 def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
     """Returns the rates of each method in each group; see ``RATES``.
 
     ``grasp`` and ``strict`` are shares of the ``n`` episodes that were run, the others of the
-    ``tasks`` that they were judged for: as many, but for a method that does not read the task. An
-    episode that ended early counts as a failure of each; a task that does not say what may be held
-    is not judged. ``_low`` and ``_high`` bound a rate with 95 % confidence (Wilson 1927); of
-    nothing judged they are None.
+    ``tasks`` that they were judged for: as many, but for a method that does not read the task. Of
+    what an episode did not come to it is a failure: without a choice of each rate, without a motion
+    of each but ``chosen``; a task that does not say what may be held is not judged. ``_low`` and
+    ``_high`` bound a rate with 95 % confidence (Wilson 1927); of nothing judged they are None.
 
     Args:
         lines: the episodes.
         by: one of ``GROUPS``; by category, the paper's together are a group besides.
     """
     rows: Rows = []
-    lines = in_order(lines)
+    lines = in_table_order(lines)
     some_beyond = any(line["cell"]["beyond"] for line in lines)
     for method in methods_of(lines):
         groups: dict[str, list[Line]] = {}
@@ -123,7 +123,7 @@ def succeeded(line: "Line", rate: str) -> bool:
     """Returns whether an episode is a success of this rate; see ``RATES``."""
     record = line["record"]
     if rate == "chosen":
-        return bool(complies(record["closes_on"] or {}, record["allowed"]))
+        return bool(complies(chosen_region(record) or {}, record["allowed"]))
     key = {"grasp": "grasp_success", "strict": "strict_success", "task": "task_compliance"}
     values: Mapping[str, Any] = record
     return bool(values[key.get(rate, "combined_success")])
@@ -160,7 +160,7 @@ def paired_rows(lines: Sequence["Line"]) -> Rows:
     the grasp, whatever number of tasks it is judged for; of a method that does, the episode of the
     first task stands beside it. ``p`` is McNemar's exact test.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
+    counted = [line for line in in_table_order(lines) if line["cell"]["category"] in PAPER]
     return [
         row
         for first, second in combinations(methods_of(lines), 2)
@@ -203,7 +203,7 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
     A row has the ``base``, the method without its K; ``k``, a number or "auto"; and of "auto" how
     often it chose which K (``chosen_k``), "none" where there was nothing to choose from.
     """
-    counted = [line for line in in_order(lines) if line["cell"]["category"] in PAPER]
+    counted = [line for line in in_table_order(lines) if line["cell"]["category"] in PAPER]
     bases: dict[str, dict[str, list[Line]]] = {}
     for line in counted:
         if line["cell"]["k"] is not None:

@@ -191,7 +191,7 @@ def make_contact_graspnet(config: ContactGraspNet, seed: int) -> ContactGraspNet
     from tog_drake.proposers.contact_graspnet.checkpoint import load_network
 
     network, checkpoint = load_network(
-        _checkpoint_file(config), device=config.device, batch_norm=config.batch_norm
+        checkpoint_file(config), device=config.device, batch_norm=config.batch_norm
     )
     return ContactGraspNetProposer(config, network, seed, _weights_record(checkpoint))
 
@@ -207,7 +207,8 @@ def _weights_record(checkpoint: "Checkpoint") -> dict[str, Any]:
     }
 
 
-def _checkpoint_file(config: ContactGraspNet) -> Path:
+def checkpoint_file(config: ContactGraspNet) -> Path:
+    """Returns the file of weights that a config names, or that is stored; raises as the latter."""
     if config.checkpoint is not None:
         return Path(config.checkpoint).expanduser()
     return stored_file(CONTACT_GRASPNET)

@@ -13,18 +13,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from tog_drake.drawing import encode_png
 from tog_drake.errors import InputError
 from tog_drake.files import write_atomically
+from tog_drake.pages import page_environment
 from tog_drake.selectors.vlm.question import Image
 from tog_drake.selectors.vlm.request import Request, pixel_hash, save_images
 from tog_drake.visible_text import visible
 
 MAX_BATCH = 190_000_000  # [byte] of a file: OpenAI takes 200 MB, Anthropic 256 MB, Gemini 2 GB
 _BATCH_FILE = re.compile(r"batch-[1-9][0-9]*\.jsonl?")  # as an export writes them
-_TEMPLATES = Path(__file__).resolve().parents[2] / "templates"
 _HOW = {
     "openai": "upload each file with purpose “batch” and create a batch for /v1/chat/completions, "
     "or run it with vLLM: vllm run-batch",
@@ -141,10 +139,4 @@ def _shown(request: Request, name: str, about: str) -> dict[str, Any]:
 
 
 def _page(questions: list[dict[str, Any]]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("questions.html.j2").render(questions=questions)
+    return page_environment().get_template("questions.html.j2").render(questions=questions)

@@ -5,6 +5,9 @@ and every exchange is kept for the record.
 """
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 
 from tog_drake.selectors import prompts
@@ -29,6 +32,18 @@ REPAIRABLE = frozenset(
 """After these a model is asked once more: it was willing, but what it said is no use."""
 MORE_TOKENS = 4  # times as many, where the first answer was truncated
 _EXCERPT = 300  # characters of an unusable answer that are quoted
+_heard: ContextVar[list[Exchange] | None] = ContextVar("_heard", default=None)
+
+
+@contextmanager
+def all_exchanges() -> Iterator[list[Exchange]]:
+    """Collects what is asked meanwhile, by whomever, also where nothing else comes of it."""
+    collected: list[Exchange] = []
+    before = _heard.set(collected)
+    try:
+        yield collected
+    finally:
+        _heard.reset(before)
 
 
 class Dialogue:
@@ -98,24 +113,25 @@ class Dialogue:
         if asked is None and replayed is not None:
             seconds = 0.0  # to look it up is no latency of the model
         text, images = _shown(message.parts)
-        self.exchanges += (
-            Exchange(
-                prompt=question.prompt,
-                text=text,
-                images=images,
-                marks=dict(question.marks),
-                key=self._client.key(message) if asked is None else asked.key,
-                answer=None if reply is None else reply.text,
-                status="ok" if error is None else error.status,
-                message="" if error is None else str(error),
-                model=None if reply is None else reply.model,
-                seconds=seconds if asked is None else asked.seconds,
-                tokens=None if reply is None else reply.tokens,
-                cost=None if asked is None else asked.cost,
-                points=answer if isinstance(answer, dict) else {},
-                replayed=replayed,
-            ),
+        exchange = Exchange(
+            prompt=question.prompt,
+            text=text,
+            images=images,
+            marks=dict(question.marks),
+            key=self._client.key(message) if asked is None else asked.key,
+            answer=None if reply is None else reply.text,
+            status="ok" if error is None else error.status,
+            message="" if error is None else str(error),
+            model=None if reply is None else reply.model,
+            seconds=seconds if asked is None else asked.seconds,
+            tokens=None if reply is None else reply.tokens,
+            cost=None if asked is None else asked.cost,
+            points=answer if isinstance(answer, dict) else {},
+            replayed=replayed,
         )
+        self.exchanges += (exchange,)
+        if (heard := _heard.get()) is not None:
+            heard.append(exchange)
 
 
 def _read(reply: Reply, profile: Profile, expects: Options | Points) -> Answer:

@@ -26,6 +26,10 @@ _OWNERS = {  # variable of a provider's key -> the host that it is sent to
 }
 
 
+class NoKey(InputError):
+    """A server wants a key, and the environment has none for it."""
+
+
 def key_variables(named: str | None, own: Sequence[str], url: str) -> tuple[str, ...]:
     """Returns the environment variables in which the key for ``url`` is looked for, in order.
 
@@ -69,14 +73,17 @@ def read_key(variable: str, url: str) -> str | None:
 
 
 def require_key(variables: Iterable[str], url: str) -> str:
-    """Returns the first key there is among the variables; raises InputError where none is."""
+    """Returns the first key there is among the variables; raises NoKey where none is.
+
+    Raises InputError where others could read it on its way to ``url``.
+    """
     variables = tuple(variables)
     for variable in variables:
         if key := read_key(variable, url):
             return key
     if not is_private(url):
         raise InputError(f"a key is not sent to {url}; valid: https, or a server on this machine")
-    raise InputError(f"no key: set the environment variable {' or '.join(variables)}")
+    raise NoKey(f"no key: set the environment variable {' or '.join(variables)}")
 
 
 def secrets_in(headers: Mapping[str, str]) -> list[str]:
