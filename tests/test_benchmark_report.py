@@ -416,6 +416,11 @@ def test_in_a_browser_hostile_text_stays_text_and_a_phone_scrolls_no_page_sidewa
             window.do("document.querySelector('.gallery').scrollIntoView()")
             window.wait_for("document.querySelector('.episode img')")
             assert window.do(wide) <= width
+            window.do("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+            tables = "[...document.querySelectorAll('.scroll')]"
+            beyond = f"{tables}.filter(s => s.scrollWidth > s.clientWidth)"
+            if width < 600:
+                assert window.do(f"return {beyond}.map(s => s.ariaLabel)") == []
             window.do("document.querySelectorAll('details').forEach(item => item.open = true)")
             assert window.do(wide) <= width
             window.do("document.querySelector('.episode').click()")

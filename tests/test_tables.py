@@ -112,7 +112,7 @@ def test_a_line_of_an_older_run_says_of_the_chosen_grasp_no_more_than_it_knows()
     regions = [chosen_region(older(i, planned)["record"]) for i, planned in enumerate((4, 2, None))]
     assert regions == [{"handle": 1.0}, None, None]
     row = by_group(success_rows([older(0, 4), older(1, 2)]))["oracle", "all"]
-    assert (row["chosen_successes"], row["tasks"]) == (1, 2)
+    assert (row["chosen_successes"], row["chosen_n"], row["tasks"]) == (1, 1, 2)
 
 
 def test_an_episode_that_serves_two_tasks_is_one_grasp():

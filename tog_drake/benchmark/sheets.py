@@ -81,6 +81,5 @@ def share(row: Mapping[str, Any], rate: str) -> Share | None:
     """Returns a rate of a row of ``success_rows``; None where nothing was judged."""
     if row[rate] is None:
         return None
-    n = row["n"] if rate in ("grasp", "strict") else row["tasks"]
     low, high = row[f"{rate}_low"], row[f"{rate}_high"]
-    return Share(row[rate], low, high, f"{row[f'{rate}_successes']}/{n}")
+    return Share(row[rate], low, high, f"{row[f'{rate}_successes']}/{row[f'{rate}_n']}")

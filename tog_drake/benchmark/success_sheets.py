@@ -114,18 +114,18 @@ def _pairs(lines: Sequence["Line"]) -> Sheet:
     return make_sheet(
         "pairs",
         "Two methods on the same trials",
-        ("First", "Second", "Trials", *(c for rate in rates for c in (TITLES[rate], "p"))),
+        ("First", "Second", *(c for rate in rates for c in (TITLES[rate], "p"))),
         [
             (
                 *pair,
-                found["both"]["n"],
-                *(cell for rate in rates for cell in _compared(found[rate])),
+                *(cell for rate in rates for cell in _compared(found.get(rate))),
             )
             for pair, found in of.items()
         ],
-        note="How many trials only the first method solved, and how many only the second. p: "
-        "McNemar's exact test, not corrected for the number of comparisons. Trials are those of "
-        "the grasp; where neither reads the task, an episode is one, whatever it is judged for.",
+        note="How many trials only the first method solved, and how many only the second, of so "
+        "many that both have done. p: McNemar's exact test, not corrected for the number of "
+        "comparisons. Where a method does not read the task, the grasp is one trial of an object "
+        "and seed, whatever number of tasks it is judged for.",
     )
 
 
@@ -133,7 +133,8 @@ def _compared(row: Mapping[str, Any] | None) -> tuple[str | None, str | None]:
     if row is None:
         return None, None  # no such task was judged
     p = row["p"]
-    return f"{row['only_first']} : {row['only_second']}", "< 0.001" if p < 0.001 else f"{p:.3f}"
+    apart = f"{row['only_first']} : {row['only_second']} of {row['n']}"
+    return apart, "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def _categories(lines: Sequence["Line"]) -> Sheet:

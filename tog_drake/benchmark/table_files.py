@@ -38,7 +38,8 @@ def csv_text(runs: Mapping[str, Sequence["Line"]]) -> str:
     Args:
         runs: the name of each run, and its lines.
     """
-    counts = [f"{rate}{what}" for rate in RATES for what in ("", "_successes", "_low", "_high")]
+    of_rate = ("", "_successes", "_n", "_low", "_high")
+    counts = [f"{rate}{what}" for rate in RATES for what in of_rate]
     columns = ["run", "by", "group", "method", "n", "tasks", *counts, "collisions", "failures"]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")

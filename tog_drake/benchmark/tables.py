@@ -52,8 +52,9 @@ def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
     ``grasp`` and ``strict`` are shares of the ``n`` episodes that were run, the others of the
     ``tasks`` that they were judged for: as many, but for a method that does not read the task. Of
     what an episode did not come to it is a failure: without a choice of each rate, without a motion
-    of each but ``chosen``; a task that does not say what may be held is not judged. ``_low`` and
-    ``_high`` bound a rate with 95 % confidence (Wilson 1927); of nothing judged they are None.
+    of each but ``chosen``; a task that does not say what may be held is not judged, nor is a choice
+    of which an older record does not say what it closes on. ``_n`` is what a rate is a share of;
+    ``_low`` and ``_high`` bound it with 95 % confidence (Wilson 1927), None of nothing judged.
 
     Args:
         lines: the episodes.
@@ -97,6 +98,8 @@ def _success_row(method: str, group: str, lines: Sequence["Line"]) -> dict[str, 
     row: dict[str, Any] = {"method": method, "group": group, "n": len(runs), "tasks": len(judged)}
     for name in RATES:
         of = runs if name in ("grasp", "strict") else judged
+        if name == "chosen":
+            of = [line for line in judged if _is_known(line)]
         row |= rate_columns(name, Rate(sum(succeeded(line, name) for line in of), len(of)))
     row["collisions"] = sum(bool(line["record"]["collisions"]) for line in runs)
     row["failures"] = _failures([line["record"] for line in runs])
@@ -104,11 +107,12 @@ def _success_row(method: str, group: str, lines: Sequence["Line"]) -> dict[str, 
 
 
 def rate_columns(name: str, rate: Rate) -> dict[str, Any]:
-    """Returns a rate as it stands in a row: itself, how many successes, and its interval."""
+    """Returns a rate as it stands in a row: itself, how many successes of what, its interval."""
     low, high = rate.interval or (None, None)
     return {
         name: rate.value,
         f"{name}_successes": rate.successes,
+        f"{name}_n": rate.n,
         f"{name}_low": low,
         f"{name}_high": high,
     }
@@ -117,6 +121,12 @@ def rate_columns(name: str, rate: Rate) -> dict[str, Any]:
 def _is_judged(line: "Line") -> bool:
     record = line["record"]
     return record["task_compliance"] is not None or record["outcome"] == "broken"
+
+
+def _is_known(line: "Line") -> bool:
+    """Whether it is known what the chosen grasp closes on, or that there was none."""
+    record = line["record"]
+    return record["choice"] is None or chosen_region(record) is not None
 
 
 def succeeded(line: "Line", rate: str) -> bool:
