@@ -125,7 +125,7 @@ def _cluster(ray: Any, named: str | None) -> Iterator[None]:
                 _node_ip_address="127.0.0.1",
                 **quiet,
             )
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:  # or no token
         raise _no_answer(named or "this machine", error) from error
     try:
         yield
