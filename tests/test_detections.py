@@ -67,7 +67,7 @@ def test_a_view_is_worth_its_surest_box_of_the_target_and_0_without_one():
     seen = [[found(0.4), found(0.7)], [found(0.3), found(0.99, "spoon")], []]
     scores = score_detections(views(), seen, "mug", "the detector")
     assert scores.values == (0.7, 0.3, 0.0)
-    assert scores.reason == "the detector is surest of 'mug' in wrist, at (10, 20) to (40, 60)"
+    assert scores.reason == "the detector is surest of 'mug' in wrist, at (10, 20) to (40, 60)."
 
 
 def test_letters_of_a_label_may_be_large_or_small():
@@ -83,7 +83,7 @@ def test_what_lies_wholly_beside_the_image_does_not_count(box):
 def test_where_no_view_shows_the_target_the_reason_says_so():
     scores = score_detections(views(), [[], [], []], "mug", "the detector")
     assert scores.values == (0.0, 0.0, 0.0)
-    assert scores.reason == "the detector finds 'mug' in none of 3 views"
+    assert scores.reason == "the detector finds 'mug' in none of 3 views."
 
 
 def test_without_words_a_detector_cannot_be_asked():

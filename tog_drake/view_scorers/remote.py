@@ -70,7 +70,7 @@ class RemoteScorer:
         deadline = time.monotonic() + self._config.timeout
         found = [self._ask(seen, target, deadline) for seen in views]
         return score_detections(
-            views, found, target, f"the detector at {host_of(self._config.url)}"
+            views, found, target, f"The detector at {host_of(self._config.url)}"
         )
 
     def _ask(self, seen: CameraView, target: str, deadline: float) -> list[Detection]:

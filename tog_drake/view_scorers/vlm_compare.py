@@ -81,7 +81,7 @@ class VlmCompareScorer:
             InputError: the question is not on the cassette, or a key is missing.
         """
         if len(views) == 1:
-            return Scores((1.0,), f"there is no other view than that of {views[0].camera}")
+            return Scores((1.0,), f"There is no other view than that of {views[0].camera}.")
         order = np.random.default_rng(self._seed).permutation(len(views))
         shown = [views[i] for i in order]
         points = np.asarray(cloud.xyzs().T, np.float64)
@@ -98,7 +98,7 @@ class VlmCompareScorer:
         assert isinstance(label, str)
         named = int(order[int(label) - 1])
         images = ", ".join(f"{n} {seen.camera}" for n, seen in enumerate(shown, 1))
-        reason = f"of the images {images} the model finds the parts clearest in {label}"
+        reason = f"Of the images {images} the model finds the parts clearest in {label}."
         values = tuple(float(i == named) for i in range(len(views)))
         return Scores(values, reason, dialogue.exchanges)
 
