@@ -16,10 +16,10 @@ from PIL import Image
 from pydrake.perception import PointCloud
 from tabletop import HAMMER_SIZED, TABLE, look
 
+from tog_drake import http_post
 from tog_drake.errors import InputError, NoView
 from tog_drake.pipeline import make_view_scorer
 from tog_drake.scenario import Scenario, parse_scenario
-from tog_drake.selectors.vlm import transport
 from tog_drake.values import CameraView, Candidates
 from tog_drake.view_scorers import detect_protocol
 from tog_drake.view_scorers.detect_protocol import (
@@ -39,7 +39,7 @@ ON_IT = (10.0, 20.0, 40.0, 60.0)
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 0.001)
 
 
 @cache

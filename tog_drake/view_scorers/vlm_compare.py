@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import NoView
+from tog_drake.errors import NoView, Unanswered
 from tog_drake.selectors import prompts
 from tog_drake.selectors.discs import draw_disc, place_discs
 from tog_drake.selectors.marks import frame_things, plain
 from tog_drake.selectors.vlm.connection import connect
-from tog_drake.selectors.vlm.question import Image, Options, Question, Unanswered
+from tog_drake.selectors.vlm.question import Image, Options, Question
 from tog_drake.selectors.vlm.specification import ModelConfig
 from tog_drake.values import Array, CameraView, Candidates
 from tog_drake.view_selection import Scores

@@ -7,6 +7,7 @@ and every exchange is kept for the record.
 import time
 from dataclasses import replace
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors import prompts
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.client import Asked, Client
@@ -19,7 +20,6 @@ from tog_drake.selectors.vlm.question import (
     Points,
     Question,
     Reply,
-    Unanswered,
 )
 from tog_drake.values import Exchange
 
