@@ -12,11 +12,12 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 
 from tog_drake.drawing import Image, encode_png
+from tog_drake.errors import Unanswered
 from tog_drake.files import write_atomically
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.scene import Scene
 from tog_drake.selectors.strategies import STRATEGIES
-from tog_drake.selectors.vlm.question import Answer, Question, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Question
 from tog_drake.world import build_world
 
 TASK = "hammer in a nail"

@@ -18,14 +18,14 @@ from tog_drake.benchmark.cells import make_cells
 from tog_drake.benchmark.episodes import EpisodeWork
 from tog_drake.benchmark.method import make_methods
 from tog_drake.benchmark.suite import Suite
-from tog_drake.errors import NoChoice
+from tog_drake.errors import NoChoice, Unanswered
 from tog_drake.judge import complies
 from tog_drake.pinhole import project
 from tog_drake.selectors.scene import Scene
 from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.profiles import Profile, find_profile
-from tog_drake.selectors.vlm.question import Options, Question, Unanswered
+from tog_drake.selectors.vlm.question import Options, Question
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.values import Grasps
 from tog_drake.world import World, build_world, look

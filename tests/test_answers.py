@@ -9,9 +9,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.answers import MAX_LENGTH, MAX_REASONING, instruction, read, schema
 from tog_drake.selectors.vlm.profiles import PROFILES
-from tog_drake.selectors.vlm.question import Options, Points, Unanswered
+from tog_drake.selectors.vlm.question import Options, Points
 from tog_drake.values import AnswerStatus
 
 NUMBERS = Options(("1", "2", "3", "4"))

@@ -279,7 +279,7 @@ def test_what_is_wrong_with_an_answer_is_said_and_its_question_stays_pending(cas
 
 
 def test_a_question_that_was_asked_in_vain_takes_an_answer(cassette, tmp_path):
-    from tog_drake.selectors.vlm.question import Unanswered
+    from tog_drake.errors import Unanswered
 
     cassette.add_error(request(), Unanswered("timed_out", "late"), seconds=1)
     with pytest.raises(QuestionPending):

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.selectors.vlm.cassette import Cassette, NotRecorded
 from tog_drake.selectors.vlm.openai import OpenAi
-from tog_drake.selectors.vlm.question import Message, Unanswered
+from tog_drake.selectors.vlm.question import Message
 from tog_drake.selectors.vlm.recorded import MAX_LINE, Recorded, read_entry
 from tog_drake.selectors.vlm.request import (
     QuestionPending,

@@ -16,10 +16,10 @@ from PIL import Image
 from pydrake.perception import PointCloud
 from tabletop import HAMMER_SIZED, TABLE, look
 
+from tog_drake import http_post
 from tog_drake.errors import InputError, NoView
 from tog_drake.pipeline import make_view_scorer
 from tog_drake.scenario import Scenario, parse_scenario
-from tog_drake.selectors.vlm import transport
 from tog_drake.values import CameraView, Candidates
 from tog_drake.view_scorers import detect_protocol
 from tog_drake.view_scorers.detect_protocol import (
@@ -39,7 +39,7 @@ ON_IT = (10.0, 20.0, 40.0, 60.0)
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 0.001)
 
 
 @cache
@@ -67,7 +67,7 @@ def test_a_view_is_worth_its_surest_box_of_the_target_and_0_without_one():
     seen = [[found(0.4), found(0.7)], [found(0.3), found(0.99, "spoon")], []]
     scores = score_detections(views(), seen, "mug", "the detector")
     assert scores.values == (0.7, 0.3, 0.0)
-    assert scores.reason == "the detector is surest of 'mug' in wrist, at (10, 20) to (40, 60)"
+    assert scores.reason == "the detector is surest of 'mug' in wrist, at (10, 20) to (40, 60)."
 
 
 def test_letters_of_a_label_may_be_large_or_small():
@@ -83,7 +83,7 @@ def test_what_lies_wholly_beside_the_image_does_not_count(box):
 def test_where_no_view_shows_the_target_the_reason_says_so():
     scores = score_detections(views(), [[], [], []], "mug", "the detector")
     assert scores.values == (0.0, 0.0, 0.0)
-    assert scores.reason == "the detector finds 'mug' in none of 3 views"
+    assert scores.reason == "the detector finds 'mug' in none of 3 views."
 
 
 def test_without_words_a_detector_cannot_be_asked():

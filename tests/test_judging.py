@@ -26,7 +26,9 @@ def decision(row=4, **changes):
     grasp = SCENE.candidates.grasps.take(np.array([row]))
     choice = Choice(index=row, grasp=grasp, reason="")
     cloud = cloud_of(SCENE.points)
-    return replace(Decision(SCENE.view, cloud, None, None, SCENE.candidates, choice), **changes)
+    return replace(
+        Decision(SCENE.view, cloud, candidates=SCENE.candidates, choice=choice), **changes
+    )
 
 
 def judged(*texts, of=None):

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.answers import read
 from tog_drake.selectors.vlm.pointing import DRIFT, seen_size
 from tog_drake.selectors.vlm.profiles import PROFILES
-from tog_drake.selectors.vlm.question import Points, Unanswered
+from tog_drake.selectors.vlm.question import Points
 
 SIZES = ((640, 480), (1280, 720), (720, 960))
 SHARES = (0.013, 0.21, 0.3337, 0.5, 0.78, 0.991)  # of a side: where the points of the table are

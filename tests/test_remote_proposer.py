@@ -20,6 +20,7 @@ from rich.console import Console
 from synthetic_weights import write_checkpoint
 from tabletop import RED, TABLE, look
 
+from tog_drake import http_post
 from tog_drake.cloud import CloudConfig, scene_cloud
 from tog_drake.errors import InputError, NoGrasp, NoProposal
 from tog_drake.grasp_check import check_grasps, turned
@@ -40,7 +41,6 @@ from tog_drake.proposers.serving import ProposerServer
 from tog_drake.record import new_record
 from tog_drake.report import EpisodeReport, report_html
 from tog_drake.scenario import Scenario, parse_scenario
-from tog_drake.selectors.vlm import transport
 from tog_drake.serve_commands import proposals
 from tog_drake.terminal import print_origins
 from tog_drake.values import Grasps, Workspace
@@ -53,7 +53,7 @@ RUN = ("run", "--no-meshcat", "--task", "use the hammer")
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
-    monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 0.001)
 
 
 @pytest.fixture(scope="module")

@@ -12,11 +12,11 @@ from test_choose import _write as write_view
 from test_replay import select
 from vlm_server import KEY, PROVIDERS, VlmServer, echo_key, plant_keys
 
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.report import EpisodeReport, report_html
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.client import Client
-from tog_drake.selectors.vlm.question import Message, Unanswered
+from tog_drake.selectors.vlm.question import Message
 from tog_drake.selectors.vlm.specification import read_specification
 
 MESSAGE = Message((np.zeros((8, 8, 3), np.uint8), "Which?"), None, 100, prompt="gsi/1")

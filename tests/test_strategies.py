@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from tabletop import HAMMER_SIZED, TABLE, look
 
 from tog_drake.drawing import CANDIDATE_COLORS
-from tog_drake.errors import InputError, NoChoice
+from tog_drake.errors import InputError, NoChoice, Unanswered
 from tog_drake.pinhole import project, unproject
 from tog_drake.selectors.pointed import KEEP_OFF, MAX_MISS, MAX_REACH
 from tog_drake.selectors.scene import Scene
 from tog_drake.selectors.strategies import CROWDED, PERMUTABLE, PIVOT_MARKS, ROUNDS, STRATEGIES
-from tog_drake.selectors.vlm.question import Options, Points, Unanswered
+from tog_drake.selectors.vlm.question import Options, Points
 from tog_drake.values import Candidates, Grasps
 
 HEIGHT = 0.03  # [m] of the top of the bar

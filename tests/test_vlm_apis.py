@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, Spoken, VlmServer, plant_keys, status
 
+from tog_drake import http_post
 from tog_drake.drawing import encode_png
-from tog_drake.selectors.vlm import transport
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.anthropic import Anthropic
 from tog_drake.selectors.vlm.bodies import spare
 from tog_drake.selectors.vlm.gemini import Gemini
 from tog_drake.selectors.vlm.openai import OpenAi
-from tog_drake.selectors.vlm.question import Message, Reply, Unanswered
+from tog_drake.selectors.vlm.question import Message, Reply
 
 CONFIGS = {"openai": OpenAi, "gemini": Gemini, "anthropic": Anthropic}
 IMAGE = np.arange(8 * 12 * 3, dtype=np.uint8).reshape(8, 12, 3)
@@ -60,7 +61,7 @@ def ask(provider, answer, message=MESSAGE, **config):
     with VlmServer(answer if callable(answer) else lambda text, images: answer) as server:
         api = CONFIGS[provider](model="any", base_url=server.base_url(provider), **config)
         deadline = time.monotonic() + 5.0
-        response = transport.post(
+        response = http_post.post(
             api.url(), api.headers(), api.body(message, png), deadline=deadline
         )
         assert server.received[0].path == api.path()

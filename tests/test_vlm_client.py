@@ -11,11 +11,11 @@ import vlm_server
 from test_vlm_apis import IMAGE, SCHEMA
 from vlm_server import KEY, KEY_VARIABLES, PROVIDERS, VlmServer, plant_keys, says, status
 
-from tog_drake.errors import InputError
-from tog_drake.selectors.vlm import transport
+from tog_drake import http_post
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.selectors.vlm.cassette import Cassette, NotRecorded
 from tog_drake.selectors.vlm.client import Client
-from tog_drake.selectors.vlm.question import Message, Unanswered
+from tog_drake.selectors.vlm.question import Message
 from tog_drake.selectors.vlm.specification import read_specification
 
 MESSAGE = Message((IMAGE, "Which one?"), SCHEMA, 512, "test/1")
@@ -27,7 +27,7 @@ PATIENCE = 20.0  # [s] for what needs a moment: a busy machine may take its time
 def environment(monkeypatch):
     plant_keys(monkeypatch)
     monkeypatch.delenv("TOG_PRICES", raising=False)
-    monkeypatch.setattr(transport, "FIRST_DELAY", 0.001)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 0.001)
 
 
 @pytest.fixture
@@ -249,7 +249,7 @@ def test_a_date_to_wait_for_beyond_the_deadline_ends_the_question_at_once(server
 
 
 def test_where_there_is_no_time_for_another_attempt_the_first_failure_counts(server, monkeypatch):
-    monkeypatch.setattr(transport, "FIRST_DELAY", 60.0)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 60.0)
     server.misbehave(status(500), always=True)
     error = caught(server, "openai", seconds=5.0)
     assert error.status == "unreachable"
@@ -259,7 +259,7 @@ def test_where_there_is_no_time_for_another_attempt_the_first_failure_counts(ser
 
 def test_a_date_that_has_passed_is_no_wait(server, monkeypatch):
     slept = []
-    monkeypatch.setattr(transport.time, "sleep", slept.append)
+    monkeypatch.setattr(http_post.time, "sleep", slept.append)
     server.misbehave(status(503, {"Retry-After": formatdate(time.time() - 100, usegmt=True)}))
     assert ask(server, "openai").reply.text == ANSWER
     assert slept == [0.0]
@@ -267,7 +267,7 @@ def test_a_date_that_has_passed_is_no_wait(server, monkeypatch):
 
 def test_the_delays_double_and_attempts_end(server, monkeypatch):
     slept = []
-    monkeypatch.setattr(transport.time, "sleep", slept.append)
+    monkeypatch.setattr(http_post.time, "sleep", slept.append)
     server.misbehave(status(500), always=True)
     assert caught(server, "openai").status == "unreachable"
     assert slept == [0.001, 0.002, 0.004]
@@ -374,7 +374,7 @@ def test_a_netrc_file_replaces_no_key(server, tmp_path, monkeypatch):
     netrc = tmp_path / "netrc"
     netrc.write_text("machine 127.0.0.1 login somebody password else\n")
     monkeypatch.setenv("NETRC", str(netrc))
-    monkeypatch.setattr(transport, "is_loopback", lambda url: False)
+    monkeypatch.setattr(http_post, "is_loopback", lambda url: False)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     ask(server, "openai")
     assert server.received[0].headers["authorization"] == f"Bearer {KEY}"

@@ -63,7 +63,7 @@ def test_the_view_that_the_model_names_has_1_wherever_it_was_shown(seed):
     assert scores.values == (0.0, 1.0, 0.0)  # of "left", which alone shows blue
     (exchange,) = scores.exchanges
     assert f"{exchange.answer[-1]} left" in scores.reason
-    assert scores.reason.endswith(f"clearest in {exchange.answer[-1]}")
+    assert scores.reason.endswith(f"clearest in {exchange.answer[-1]}.")
 
 
 def test_the_order_of_the_pictures_is_drawn_by_the_seed_and_by_it_alone():

@@ -11,11 +11,11 @@ from pydrake.perception import BaseField, Fields, PointCloud
 from test_strategies import bar_scene, to_picture, without_middle
 from vlm_server import KEY, Spoken, VlmServer, cut, hang, status
 
+from tog_drake import http_post
 from tog_drake.errors import InputError, NoChoice, NoGrasp
 from tog_drake.pinhole import project
 from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.scenario import Scenario, parse_scenario
-from tog_drake.selectors.vlm import transport
 from tog_drake.selectors.vlm.gemini import Gemini
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm, VlmSelector
@@ -100,7 +100,7 @@ def test_an_answer_that_cannot_be_read_is_asked_for_once_more(useless, found):
 
 
 def test_a_cut_connection_is_not_asked_again_with_more_tokens(monkeypatch):
-    monkeypatch.setattr(transport, "FIRST_DELAY", 0.0)
+    monkeypatch.setattr(http_post, "FIRST_DELAY", 0.0)
     with saying("Final answer: red") as server:
         server.misbehave(cut, always=True)
         with pytest.raises(NoChoice) as caught:

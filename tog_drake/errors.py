@@ -94,3 +94,14 @@ class NoPlan(EpisodeError):
     """No motion to the chosen grasp passed the checks."""
 
     outcome = "no_plan"
+
+
+class Unanswered(Exception):
+    """A question, to a model or to any server, without a usable answer.
+
+    ``status`` says in which way, the message why. Who asked makes of it what ends an episode.
+    """
+
+    def __init__(self, status: "AnswerStatus", message: str):
+        super().__init__(message)
+        self.status = status

@@ -12,14 +12,14 @@ import numpy as np
 
 from tog_drake.benchmark.journal import JudgeRecord
 from tog_drake.drawing import Image
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.pipeline import Decision
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import Mark, draw_grippers, frame_things, plain
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
 from tog_drake.selectors.vlm.profiles import find_profile
-from tog_drake.selectors.vlm.question import Options, Question, Unanswered
+from tog_drake.selectors.vlm.question import Options, Question
 from tog_drake.selectors.vlm.specification import VALID, read_specification, specification
 
 SUITS, SUITS_NOT = "1", "2"

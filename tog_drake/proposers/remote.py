@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import InputError, NoProposal
+from tog_drake.errors import InputError, NoProposal, Unanswered
+from tog_drake.http_post import post
 from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.proposers.grasp_document import BadDocument, HoldNothing, grasps_in_world
 from tog_drake.proposers.propose_protocol import Request, read_answer, request_body
-from tog_drake.selectors.vlm.question import Unanswered
-from tog_drake.selectors.vlm.transport import post
 from tog_drake.urls import host_of, is_plain_url
 from tog_drake.values import View, Workspace
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tog_drake.errors import NoChoice
+from tog_drake.errors import NoChoice, Unanswered
 from tog_drake.pinhole import project
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import plain
 from tog_drake.selectors.scene import Ask, Pick, Scene
-from tog_drake.selectors.vlm.question import Answer, Points, Question, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Points, Question
 from tog_drake.values import Array, Grasps
 
 MAX_MISS = 15.0

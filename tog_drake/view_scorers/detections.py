@@ -41,16 +41,16 @@ def score_detections(
         views: as they were shown to the detector.
         found: what it found in each.
         target: the words that it was asked for.
-        detector: what it is called, for the reason.
+        detector: what it is called, at the beginning of the reason.
     """
     best = [_best(seen, boxes, target) for seen, boxes in zip(views, found, strict=True)]
     values = tuple(0.0 if found is None else found.score for found in best)
     surest = best[max(range(len(values)), key=values.__getitem__)]
     if surest is None:
-        return Scores(values, f"{detector} finds {target!r} in none of {len(views)} views")
+        return Scores(values, f"{detector} finds {target!r} in none of {len(views)} views.")
     u0, v0, u1, v1 = (round(edge) for edge in surest.box)
     where = views[values.index(surest.score)].camera
-    reason = f"{detector} is surest of {target!r} in {where}, at ({u0}, {v0}) to ({u1}, {v1})"
+    reason = f"{detector} is surest of {target!r} in {where}, at ({u0}, {v0}) to ({u1}, {v1})."
     return Scores(values, reason)
 
 

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import InputError, NoView
-from tog_drake.selectors.vlm.question import Unanswered
-from tog_drake.selectors.vlm.transport import post
+from tog_drake.errors import InputError, NoView, Unanswered
+from tog_drake.http_post import post
 from tog_drake.urls import host_of, is_plain_url
 from tog_drake.values import AnswerStatus, CameraView, Candidates
 from tog_drake.view_scorers.detect_protocol import BadAnswer, read_answer, request_body
@@ -70,7 +69,7 @@ class RemoteScorer:
         deadline = time.monotonic() + self._config.timeout
         found = [self._ask(seen, target, deadline) for seen in views]
         return score_detections(
-            views, found, target, f"the detector at {host_of(self._config.url)}"
+            views, found, target, f"The detector at {host_of(self._config.url)}"
         )
 
     def _ask(self, seen: CameraView, target: str, deadline: float) -> list[Detection]:

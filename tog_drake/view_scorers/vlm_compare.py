@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import NoView
+from tog_drake.errors import NoView, Unanswered
 from tog_drake.selectors import prompts
 from tog_drake.selectors.discs import draw_disc, place_discs
 from tog_drake.selectors.marks import frame_things, plain
 from tog_drake.selectors.vlm.connection import connect
-from tog_drake.selectors.vlm.question import Image, Options, Question, Unanswered
+from tog_drake.selectors.vlm.question import Image, Options, Question
 from tog_drake.selectors.vlm.specification import ModelConfig
 from tog_drake.values import Array, CameraView, Candidates
 from tog_drake.view_selection import Scores
@@ -81,7 +81,7 @@ class VlmCompareScorer:
             InputError: the question is not on the cassette, or a key is missing.
         """
         if len(views) == 1:
-            return Scores((1.0,), f"there is no other view than that of {views[0].camera}")
+            return Scores((1.0,), f"There is no other view than that of {views[0].camera}.")
         order = np.random.default_rng(self._seed).permutation(len(views))
         shown = [views[i] for i in order]
         points = np.asarray(cloud.xyzs().T, np.float64)
@@ -98,7 +98,7 @@ class VlmCompareScorer:
         assert isinstance(label, str)
         named = int(order[int(label) - 1])
         images = ", ".join(f"{n} {seen.camera}" for n, seen in enumerate(shown, 1))
-        reason = f"of the images {images} the model finds the parts clearest in {label}"
+        reason = f"Of the images {images} the model finds the parts clearest in {label}."
         values = tuple(float(i == named) for i in range(len(views)))
         return Scores(values, reason, dialogue.exchanges)
 

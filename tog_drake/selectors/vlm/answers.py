@@ -7,11 +7,12 @@ answer that is not found, or not for sure, is ``Unanswered``, and never the firs
 import re
 from typing import Any
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.json_in_text import is_cut_off
 from tog_drake.selectors.vlm.labels import read_label, refuse_what_is_no_answer
 from tog_drake.selectors.vlm.pointing import read_points, seen_size
 from tog_drake.selectors.vlm.profiles import Profile
-from tog_drake.selectors.vlm.question import Answer, Options, Points, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Options, Points
 
 VERSION = "answer/1"
 """Of what ``instruction`` and ``schema`` say; it goes up whenever any of it changes, the sentences

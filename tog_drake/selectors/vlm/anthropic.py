@@ -7,10 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.api import Api
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
 from tog_drake.selectors.vlm.keys import require_key
-from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.selectors.vlm.question import Image, Message, Reply
 
 _OPTIONAL = {
     r"output_config\.effort|effort": (("output_config", "effort"),),

@@ -10,14 +10,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, Unanswered
+from tog_drake.http_post import MAX_BYTES
 from tog_drake.selectors.vlm.api import Api
 from tog_drake.selectors.vlm.batch import custom_id
 from tog_drake.selectors.vlm.bodies import at, text_at
 from tog_drake.selectors.vlm.cassette import Cassette
-from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.recorded import Recorded, Source, read_json
-from tog_drake.selectors.vlm.transport import MAX_BYTES
 from tog_drake.visible_text import visible
 
 MAX_FILE = 500_000_000  # [byte]

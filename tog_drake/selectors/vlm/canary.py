@@ -15,12 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tog_drake.drawing import CANDIDATE_COLORS
+from tog_drake.errors import Unanswered
 from tog_drake.selectors import prompts
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.client import Client
 from tog_drake.selectors.vlm.dialogue import Dialogue
 from tog_drake.selectors.vlm.profiles import PROFILES, Profile
-from tog_drake.selectors.vlm.question import Answer, Image, Options, Points, Question, Unanswered
+from tog_drake.selectors.vlm.question import Answer, Image, Options, Points, Question
 from tog_drake.values import Exchange
 
 WIDTH, HEIGHT = 896, 672  # [pixel] multiples of 224: no model's server resizes it

@@ -3,7 +3,7 @@
 A cassette is a file of lines as in ``recorded``. Of several lines of one key the last holds, but
 for a response, which is final, unless it was given by hand and is corrected by hand. Each image
 lies once in ``<stem>.images/<hex>.png`` beside the cassette. Headers are never written, and
-whatever part of a key a server sends back is taken out by ``transport``: there is no key in a
+whatever part of a key a server sends back is taken out by ``http_post``: there is no key in a
 cassette.
 """
 
@@ -15,8 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
-from tog_drake.errors import InputError
-from tog_drake.selectors.vlm.question import Unanswered
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.selectors.vlm.recorded import (
     MAX_LINE,
     Recorded,

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from tog_drake.drawing import encode_png
+from tog_drake.errors import Unanswered
+from tog_drake.http_post import Rejected, post
 from tog_drake.selectors.vlm.cassette import Cassette
 from tog_drake.selectors.vlm.prices import load_prices
-from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.selectors.vlm.question import Image, Message, Reply
 from tog_drake.selectors.vlm.request import Request
 from tog_drake.selectors.vlm.specification import ModelConfig, check_model, specification
-from tog_drake.selectors.vlm.transport import Rejected, post
 
 _log = logging.getLogger(__name__)
 _NOT_UNDERSTOOD = (400, 422)  # HTTP status of a request with a parameter that is not taken

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors import prompts
 from tog_drake.selectors.vlm import answers
 from tog_drake.selectors.vlm.client import Asked, Client
@@ -22,7 +23,6 @@ from tog_drake.selectors.vlm.question import (
     Points,
     Question,
     Reply,
-    Unanswered,
 )
 from tog_drake.values import Exchange
 

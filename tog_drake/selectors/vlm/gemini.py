@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.api import Api
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
 from tog_drake.selectors.vlm.keys import require_key
-from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.selectors.vlm.question import Image, Message, Reply
 
 _OPTIONAL = {
     r"thinking.?(config|level)|thinking": (("generationConfig", "thinkingConfig"),),

@@ -15,8 +15,8 @@ import re
 from typing import Any
 
 from tog_drake.drawing import CANDIDATE_COLORS
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.json_in_text import find_values
-from tog_drake.selectors.vlm.question import Unanswered
 
 
 def read_label(text: str, labels: tuple[str, ...]) -> str:

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.api import Api
 from tog_drake.selectors.vlm.bodies import at, count_at, short_at, text_at, token_counts
 from tog_drake.selectors.vlm.keys import read_key, require_key
-from tog_drake.selectors.vlm.question import Image, Message, Reply, Unanswered
+from tog_drake.selectors.vlm.question import Image, Message, Reply
 from tog_drake.visible_text import quoted
 
 _OPENAI = "https://api.openai.com/v1"

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.json_in_text import find_values
 from tog_drake.selectors.vlm.profiles import Format, Profile
-from tog_drake.selectors.vlm.question import Unanswered
 
 
 @dataclass(frozen=True)

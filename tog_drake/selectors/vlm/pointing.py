@@ -16,9 +16,10 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.point_formats import Told, find_points
 from tog_drake.selectors.vlm.profiles import FitResize, Profile, Resize, SmartResize
-from tog_drake.selectors.vlm.question import Points, Unanswered
+from tog_drake.selectors.vlm.question import Points
 
 DRIFT = (
     0.01  # of a side: pixels told no farther outside are moved to the edge, as Qwen2.5-VL drifts

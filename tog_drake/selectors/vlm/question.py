@@ -12,8 +12,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tog_drake.values import AnswerStatus
-
 Image = NDArray[np.uint8]  # (H, W, 3), RGB
 
 
@@ -69,11 +67,3 @@ class Reply:
     model: str | None  # as the server names it
     tokens: dict[str, int] | None  # input, output, reasoning
     refusal: str = ""  # why it would not answer, where it says
-
-
-class Unanswered(Exception):
-    """A question without a usable answer: ``status`` says in which way, the message why."""
-
-    def __init__(self, status: AnswerStatus, message: str):
-        super().__init__(message)
-        self.status = status

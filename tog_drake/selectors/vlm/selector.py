@@ -13,7 +13,7 @@ from typing import get_args
 import numpy as np
 from pydrake.perception import PointCloud
 
-from tog_drake.errors import InputError, NoChoice, NoGrasp
+from tog_drake.errors import InputError, NoChoice, NoGrasp, Unanswered
 from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
@@ -21,7 +21,6 @@ from tog_drake.selectors.scene import Nearest, Pick, Scene
 from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES
 from tog_drake.selectors.vlm.connection import connect
 from tog_drake.selectors.vlm.dialogue import Dialogue
-from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.selectors.vlm.request import QuestionPending, Request
 from tog_drake.selectors.vlm.specification import ModelConfig
 from tog_drake.task import read_task

@@ -16,9 +16,9 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from tog_drake.errors import Unanswered
 from tog_drake.selectors.vlm.bodies import at, text_at
 from tog_drake.selectors.vlm.keys import redact, secrets_in
-from tog_drake.selectors.vlm.question import Unanswered
 from tog_drake.urls import host_of, is_loopback
 from tog_drake.visible_text import quoted
 
@@ -119,7 +119,7 @@ def _within(deadline: float, url: str, headers: Mapping[str, str], data: bytes) 
     try:
         if left <= 0.0:
             raise queue.Empty
-        threading.Thread(target=work, name="tog-vlm-request", daemon=True).start()
+        threading.Thread(target=work, name="tog-request", daemon=True).start()
         answer, error = outcome.get(timeout=left)
     except queue.Empty:
         raise Unanswered("timed_out", f"no answer of {host_of(url)} within the deadline") from None
