@@ -105,7 +105,7 @@ def _page_of(episode: EpisodeReport) -> dict[str, Any]:
         "depth": None if view is None else _data_url(depth_image(view.depth)),
         "depth_range": None if view is None else depth_range(view.depth),
         "decision": None if episode.decision is None else _data_url(episode.decision),
-        "views": _strip(episode.views, record.get("view_selection", {})),
+        "views": _strip(episode.views, record["view_selection"] or {}),
         "asked": _asked(
             record["vlm"] or {},
             episode.exchanges_before,
