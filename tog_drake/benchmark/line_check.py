@@ -69,6 +69,7 @@ _CELL = {
     "selector": str,
     "strategy": str | None,
     "vlm": str | None,
+    "view": Later(str | None),
     "scenario": str,
     "object": str,
     "seed": int,
