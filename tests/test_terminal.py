@@ -66,7 +66,8 @@ def test_what_became_of_the_question_is_not_taken_for_the_outcome(asked, line):
     choice = {"part": None, "index": 7, "reason": "So it is.", "status": "rejected"}
     record = {
         "task": "lift it", "proposer": {"kind": "antipodal"}, "counts": {}, "seconds": {},
-            "view_selection": None,
+        "view_selection": None,
+        "alignment": None,
         "choice": choice, "held": {},
         "outcome": "lifted", "turned": None, "message": None, "collisions": None, **asked,
     }  # fmt: skip

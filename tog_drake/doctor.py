@@ -10,8 +10,12 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tog_drake.weights import MODELS, stored
+
+if TYPE_CHECKING:
+    from tog_drake.scenario import Scenario
 
 _LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
 # extra -> (module, what it is for)
@@ -67,6 +71,31 @@ def run_checks() -> list[Check]:
         checks.append(_check(f"weights of {name}", partial(_weights, name), required=False))
     checks.append(_check("weights of view scorer detector", _detector_weights, required=False))
     return checks
+
+
+def camera_checks(scenario: "Scenario") -> list[Check]:
+    """Returns, for each camera but the pipeline's own, how far its pose is off against that one.
+
+    The scenario is simulated: its cameras look at what stands there.
+
+    Raises:
+        InputError: the scenario cannot be built.
+    """
+    from tog_drake.episode import build_world, look
+    from tog_drake.scenario import model_files
+
+    own = scenario.pipeline.camera
+    if len(scenario.cameras) == 1:
+        return [Check("cameras", True, f"{own} is the only one: nothing to compare it with")]
+    scenario.pipeline.cloud.fuse = True
+    world = build_world(scenario, target=next(iter(model_files(scenario)), None))
+    context = look(world, scenario, "pick it up").get_context()
+    mine = world.pipeline.GetMyContextFromRoot(context)
+    found = world.pipeline.GetOutputPort("alignments").Eval(mine)
+    return [
+        Check(f"camera {camera}", alignment.tolerable, alignment.said(own))
+        for camera, alignment in found.items()
+    ]
 
 
 class _ProblemError(Exception):

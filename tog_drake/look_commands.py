@@ -88,12 +88,22 @@ def diagram(
     say(console_for(as_json=False), f"picture: {out}")
 
 
-def doctor(as_json: JsonOption = False) -> None:
+def doctor(
+    scenario: Annotated[
+        str | None,
+        typer.Option(help="Check how well the poses of this scenario's cameras agree, too."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
     """Check this machine: Python, Drake, rendering, Meshcat, disk, optional extras."""
-    from tog_drake.doctor import run_checks
+    from tog_drake.doctor import camera_checks, run_checks
 
     console = console_for(as_json)
     checks = run_checks()
+    if scenario is not None:
+        from tog_drake.scenario import load_scenario
+
+        checks += camera_checks(load_scenario(scenario))
     for check in checks:
         mark = "ok     " if check.ok else ("PROBLEM" if check.required else "missing")
         say(console, f"{mark}  {check.name}: {check.found}")

@@ -11,6 +11,7 @@ from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 
+from tog_drake.alignment import Aligner, Alignment
 from tog_drake.camera import Camera
 from tog_drake.candidates import CandidatePicker, CandidatesConfig, candidate_counts
 from tog_drake.cloud import CloudConfig, SceneCloud
@@ -164,8 +165,9 @@ class GraspPipeline(Diagram):
         - failed_grasps
 
     Every stage's value is exported, to be inspected and timed. It reads its own camera, and the
-    others only where their views are compared or fused. With ``!Oracle`` as selector there is one
-    more input, ``cheat.query_object``, which only a simulation can feed.
+    others only where their views are compared or fused; where they are fused, there is one more
+    output, ``alignments``. With ``!Oracle`` as selector there is one more input,
+    ``cheat.query_object``, which only a simulation can feed.
     """
 
     def __init__(
@@ -204,6 +206,10 @@ class GraspPipeline(Diagram):
             ),
             "executor": self.executor,
         }
+        if config.cloud.fuse:
+            stages["aligner"] = Aligner(
+                config.workspace, robot_spheres=lambda q: _spheres(planning_model, q)
+            )
         self._stages = list(stages.values())
         builder = DiagramBuilder()
         for name, stage in stages.items():
@@ -442,6 +448,7 @@ class Decision:
     error: EpisodeError | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     views: tuple[CameraView, ...] = ()  # of all cameras, where they were compared
+    alignments: Mapping[str, Alignment] | None = None  # by camera, where views were fused
     weights: Mapping[str, Any] | None = None  # those that the proposer works with, see weights_of
 
     @property
@@ -495,5 +502,7 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
             decision.seconds[stage.key] = time.perf_counter() - start
     if decision.selected_view is not None and len(pipeline.cameras) > 1:
         decision.views = pipeline.GetOutputPort("views").Eval(mine)
+    if pipeline.HasOutputPort("alignments"):
+        decision.alignments = pipeline.GetOutputPort("alignments").Eval(mine)
     decision.weights = weights_of(pipeline.proposer)
     return decision

@@ -55,6 +55,17 @@ class ViewSelectionRecord(TypedDict):
     """Camera -> candidates of which it sees a contact; with !Hand and no fusion its own alone."""
 
 
+class AlignmentRecord(TypedDict):
+    """How far the pose of a camera is off, taken that of the pipeline's own camera is right."""
+
+    shift: float  # [m] of the middle of what the cameras see
+    turn: float  # [rad]
+    shift_told: bool  # whether the views share enough to say so in every direction
+    turn_told: bool
+    tolerable: bool  # less than 3 mm, as far as can be told
+    message: str  # for a person
+
+
 class AttemptRecord(TypedDict):
     """One look and what came of it, as far as the robot itself can tell."""
 
@@ -84,6 +95,7 @@ class EpisodeRecord(TypedDict):
     counts: dict[str, int | None]  # points, proposed, feasible, candidates
     rejected: dict[str, int]  # proposals that are not feasible, by reason; without an arm: hidden
     view_selection: ViewSelectionRecord | None  # null: not reached, or there was one saved view
+    alignment: dict[str, AlignmentRecord] | None  # camera -> ...; null: views were not fused
     choice: ChoiceRecord | None
     vlm: VlmRecord | None  # null: no model was asked
     attempts: list[AttemptRecord]
@@ -171,6 +183,7 @@ def new_record(
         counts=counts,
         rejected=dict(rejected),
         view_selection=_view_selection_record(decision, config),
+        alignment=_alignment_record(decision, config.camera),
         choice=_choice_record(decision),
         vlm=vlm_record(decision, config.selector, seed=seed),
         attempts=[attempt_record(decision)],
@@ -192,6 +205,22 @@ def new_record(
         seconds=seconds,
         sim={"seconds": None, "real_time_rate": None},
     )
+
+
+def _alignment_record(decision: Decision, own: str) -> dict[str, AlignmentRecord] | None:
+    if decision.alignments is None:
+        return None
+    return {
+        camera: AlignmentRecord(
+            shift=found.shift,
+            turn=found.turn,
+            shift_told=found.shift_told,
+            turn_told=found.turn_told,
+            tolerable=found.tolerable,
+            message=found.said(own),
+        )
+        for camera, found in decision.alignments.items()
+    }
 
 
 def _proposer_record(decision: Decision, config: PipelineConfig) -> dict[str, Any]:

@@ -120,6 +120,9 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     console.print(table)
     print_origins(console, [record["proposer"]])
     print_view(console, record)
+    for camera, alignment in (record["alignment"] or {}).items():
+        if not alignment["tolerable"]:
+            say(console, f"misaligned: {camera} is {alignment['message']}")
     print_answers(console, record)
     choice = record["choice"]
     if choice is not None:
