@@ -81,8 +81,8 @@ def camera_checks(scenario: "Scenario") -> list[Check]:
     Raises:
         InputError: the scenario cannot be built.
     """
-    from tog_drake.episode import build_world, look
     from tog_drake.scenario import model_files
+    from tog_drake.world import build_world, look
 
     own = scenario.pipeline.camera
     if len(scenario.cameras) == 1:
