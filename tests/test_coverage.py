@@ -5,13 +5,13 @@ import pytest
 from tabletop import GREY, RED, TABLE, look
 
 from tog_drake.cloud import CloudConfig, scene_cloud
-from tog_drake.episode import build_world
-from tog_drake.episode import look as look_at
 from tog_drake.pinhole import project
 from tog_drake.scenario import load_scenario
 from tog_drake.values import CameraView, Candidates, Grasps, Workspace
 from tog_drake.view_scorers.coverage import CoverageScorer
 from tog_drake.visibility import shown_in, visible
+from tog_drake.world import build_world
+from tog_drake.world import look as look_at
 
 BLOCK = ((0.50, -0.03, 0.0), (0.56, 0.03, 0.08), RED)
 WALL = ((0.44, -0.08, 0.0), (0.45, 0.08, 0.14), GREY)  # before the block, as seen from x = 0
