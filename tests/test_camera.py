@@ -27,7 +27,7 @@ from tog_drake.camera import Camera, rendered_intrinsics
 from tog_drake.errors import InputError
 from tog_drake.pinhole import project, unproject
 from tog_drake.rendering import make_render_engine, rendering_problem
-from tog_drake.values import Intrinsics, View
+from tog_drake.values import CameraView, Intrinsics, View
 
 SMALL = Intrinsics(width=8, height=6, fx=10.0, fy=11.0, cx=3.5, cy=2.5)
 
@@ -207,6 +207,17 @@ def test_the_views_of_all_cameras_come_in_their_order_the_first_as_on_the_other_
     assert side.view.depth.shape == (4, 10)
     assert side.view.depth.max() == 2.0
     assert side.view.X_WC[:3, 3].tolist() == [0, 1.0, 0]
+
+
+def test_earlier_views_of_the_own_camera_come_last():
+    camera = Camera({"top": SMALL, "side": SMALL}, looks_again=True)
+    context = fix(camera, *images(8, 6))
+    fix(camera, *images(8, 6), name="side", context=context)
+    earlier = CameraView("top#1", camera.GetOutputPort("view").Eval(context), np.zeros(7))
+    camera.GetInputPort("earlier_views").FixValue(context, Value((earlier,)))
+    views = camera.GetOutputPort("views").Eval(context)
+    assert [each.camera for each in views] == ["top", "side", "top#1"]
+    np.testing.assert_array_equal(views[2].q, np.zeros(7))
 
 
 def test_the_own_view_needs_no_image_of_another_camera():

@@ -12,7 +12,7 @@ from tog_drake.cameras import D435, L515
 from tog_drake.cloud import CloudConfig, SceneCloud, scene_cloud
 from tog_drake.errors import InputError, NoGrasp
 from tog_drake.stations.depth_noise import noisy_depth
-from tog_drake.values import Workspace
+from tog_drake.values import CameraView, Workspace
 
 
 def points(cloud):
@@ -70,7 +70,7 @@ def test_the_table_is_where_the_workspace_says(view):
 def test_the_robots_own_points_are_left_out(view):
     far_end = (np.array([[0.58, 0.0, 0.02]]), np.array([0.05]))
     config = CloudConfig(robot_padding=0.01)
-    p_W = points(scene_cloud([view], Workspace(), config, robot=far_end))
+    p_W = points(scene_cloud([view], Workspace(), config, robots=[far_end]))
     distance = np.linalg.norm(p_W - far_end[0][0], axis=1)
     assert distance.min() >= 0.06
     assert distance.min() < 0.07
@@ -117,7 +117,7 @@ def test_an_empty_table_is_no_grasp_and_the_message_counts():
 def test_a_view_of_the_robot_alone_is_no_grasp(view):
     everything = (np.array([[0.5, 0.0, 0.0]]), np.array([1.0]))
     with pytest.raises(NoGrasp, match="without the robot they are 0 points"):
-        scene_cloud([view], Workspace(), CloudConfig(), robot=everything)
+        scene_cloud([view], Workspace(), CloudConfig(), robots=[everything])
 
 
 def test_the_stage_places_the_robot_by_the_measured_position(view):
@@ -137,6 +137,24 @@ def test_the_stage_places_the_robot_by_the_measured_position(view):
     context.SetTime(3.0)
     stage.GetOutputPort("cloud").Eval(context)
     assert len(asked) == 1
+
+
+def test_of_an_earlier_view_the_robot_is_cut_where_it_was_then(view):
+    def spheres(q):
+        return np.array([[q[0], 0.0, 0.02]]), np.array([0.05])
+
+    stage = SceneCloud(CloudConfig(fuse=True), Workspace(), robot_spheres=spheres)
+    context = stage.CreateDefaultContext()
+    now, then = np.zeros(7), np.full(7, 0.58)
+    views = (CameraView("wrist", view), CameraView("wrist#1", view, then))
+    stage.GetInputPort("views").FixValue(context, Value(views))
+    stage.GetInputPort("panda.position_measured").FixValue(context, now)
+    both = points(stage.GetOutputPort("cloud").Eval(context))
+    stage.GetInputPort("views").FixValue(context, Value(views[1:]))
+    earlier = points(stage.GetOutputPort("cloud").Eval(context))
+    at_end = np.array([[0.58, 0.0, 0.02]])
+    assert np.linalg.norm(both - at_end, axis=1).min() < 0.02
+    assert np.linalg.norm(earlier - at_end, axis=1).min() > 0.05
 
 
 def test_without_a_robot_the_stage_has_one_input(view):

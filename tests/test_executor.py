@@ -8,7 +8,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.executor import ExecutorConfig, GraspExecutor, Phase
 from tog_drake.panda import A_MAX, V_MAX
-from tog_drake.values import GraspMotion, Grasps
+from tog_drake.values import CameraView, GraspMotion, Grasps, NextLook, View
 
 Q_NOW = np.array([-0.3, -0.2, -0.1, -1.5, 0.1, 1.5, 0.3])
 Q_END = Q_NOW + 0.1
@@ -62,12 +62,47 @@ class _Arm(LeafSystem):
         output.SetFromVector([self.opening, 0.0])
 
 
-def _world(config=None, error=None, retries=0):
+class _Looker(LeafSystem):
+    """Says where to look next as long as fewer than ``enough`` views are remembered."""
+
+    def __init__(self, enough):
+        super().__init__()
+        self.calls = 0
+        self._enough = enough
+        self._earlier = self.DeclareAbstractInputPort("earlier_views", Value(()))
+        ticket = {self._earlier.ticket()}
+        self.DeclareAbstractOutputPort("n", lambda: Value(NextLook.none()), self._Calc, ticket)
+
+    def _Calc(self, context, output):
+        self.calls += 1
+        n = len(self._earlier.Eval(context)) + 1
+        if n <= self._enough:
+            left = CameraView(f"wrist#{n}", View.empty(), Q_NOW)
+            output.set_value(NextLook(_way(), "more is to be seen", left=left))
+        else:
+            output.set_value(NextLook.none())
+
+
+def _way(duration=0.4):
+    """There and back, so that the arm of these tests is where the motion starts."""
+    arm = PiecewisePolynomial.FirstOrderHold(
+        [0.0, duration / 2, duration], np.column_stack([Q_NOW, Q_END, Q_NOW])
+    )
+    hand = PiecewisePolynomial.FirstOrderHold([0.0, duration], [[0.08, 0.08]])
+    return GraspMotion(arm, hand, duration, {})
+
+
+def _world(config=None, error=None, retries=0, looks=None):
     builder = DiagramBuilder()
     planner = builder.AddSystem(_Planner(error))
     arm = builder.AddSystem(_Arm())
     config = config or ExecutorConfig(look_time=0.1)
-    executor = builder.AddSystem(GraspExecutor(config, retries=retries))
+    max_looks, enough = looks or (0, 0)
+    executor = builder.AddSystem(GraspExecutor(config, retries=retries, max_looks=max_looks))
+    if looks:
+        looker = builder.AddNamedSystem("looker", _Looker(enough))
+        builder.Connect(looker.get_output_port(), executor.GetInputPort("next_look"))
+        builder.Connect(executor.GetOutputPort("earlier_views"), looker.get_input_port())
     builder.Connect(planner.get_output_port(), executor.GetInputPort("motion"))
     builder.Connect(arm.GetOutputPort("q"), executor.GetInputPort("panda.position_measured"))
     builder.Connect(arm.GetOutputPort("hand"), executor.GetInputPort("hand.state_measured"))
@@ -257,3 +292,75 @@ def test_it_tries_again_no_more_often_than_it_may():
 def test_a_negative_number_of_retries_is_refused():
     with pytest.raises(InputError, match="retries is -1; valid: 0 or more"):
         GraspExecutor(ExecutorConfig(), retries=-1)
+
+
+def _earlier(executor, context):
+    return [view.camera for view in executor.GetOutputPort("earlier_views").Eval(context)]
+
+
+def test_it_looks_again_as_often_as_is_asked_then_decides_and_moves():
+    simulator, executor, context, planner, _ = _world(RELAXED, looks=(3, 2))
+    looker = simulator.get_system().GetSubsystemByName("looker")
+    simulator.AdvanceTo(0.105)  # look at 0.1: the first way from 0.11 to 0.51
+    assert (executor.state(context).phase, _earlier(executor, context)) == (
+        Phase.READY,
+        ["wrist#1"],
+    )
+    simulator.AdvanceTo(0.31)
+    assert executor.state(context).phase is Phase.LOOK
+    arm, hand = _commands(executor, context)
+    np.testing.assert_allclose(arm, Q_END, atol=1e-9)
+    assert hand == pytest.approx(0.08)
+    simulator.AdvanceTo(0.55)
+    state = executor.state(context)
+    assert (state.phase, state.look_at) == (Phase.OBSERVE, pytest.approx(0.61))
+    assert planner.calls == 0
+    simulator.AdvanceTo(1.15)  # the second from 0.62 to 1.02, the third is not wanted at 1.12
+    assert executor.state(context).phase is Phase.MOVE
+    assert _earlier(executor, context) == ["wrist#1", "wrist#2"]
+    assert (looker.calls, planner.calls) == (3, 1)
+    simulator.AdvanceTo(2.0)
+    assert executor.state(context).phase is Phase.DONE
+    assert executor.looks_left(context) == 1
+
+
+def test_it_looks_again_no_more_often_than_it_may_and_does_not_ask_then():
+    simulator, executor, context, planner, _ = _world(RELAXED, looks=(1, 9))
+    simulator.AdvanceTo(2.0)
+    looker = simulator.get_system().GetSubsystemByName("looker")
+    assert (executor.state(context).phase, looker.calls, planner.calls) == (Phase.DONE, 1, 1)
+    assert executor.looks_left(context) == 0
+
+
+def test_an_arm_that_does_not_follow_on_its_way_to_a_look_is_stopped():
+    config = ExecutorConfig(look_time=0.1, max_tracking_error=0.05)
+    simulator, executor, context, planner, _ = _world(config, looks=(1, 1))
+    simulator.AdvanceTo(2.0)  # the arm of this test never moves
+    state = executor.state(context)
+    assert (state.phase, state.motion, planner.calls) == (Phase.FAILED, None, 0)
+
+
+def test_a_look_that_starts_elsewhere_is_not_gone_to():
+    simulator, _, _, _, arm = _world(looks=(1, 1))
+    arm.offset = np.full(7, 0.5)
+    with pytest.raises(NoPlan, match=r"0\.500 rad away"):
+        simulator.AdvanceTo(0.5)
+
+
+def test_a_new_attempt_forgets_what_was_seen_before_it_and_may_look_again():
+    simulator, executor, context, planner, arm = _world(RELAXED, retries=1, looks=(1, 1))
+    arm.opening = EMPTY
+    simulator.AdvanceTo(1.0)
+    assert _earlier(executor, context) == ["wrist#1"]
+    simulator.AdvanceTo(1.45)  # back at 1.42
+    state = executor.state(context)
+    assert (state.attempt, state.phase, _earlier(executor, context)) == (2, Phase.OBSERVE, [])
+    simulator.AdvanceTo(4.0)
+    assert (_earlier(executor, context), planner.calls) == (["wrist#1"], 2)
+
+
+def test_nothing_feeds_through_from_the_next_look_to_the_commands_nor_to_the_earlier_views():
+    executor = GraspExecutor(ExecutorConfig(), max_looks=1)
+    look = executor.GetInputPort("next_look").get_index()
+    for name in ("panda.position", "hand.position", "earlier_views"):
+        assert not executor.HasDirectFeedthrough(look, executor.GetOutputPort(name).get_index())

@@ -145,7 +145,7 @@ def test_specks_of_several_views_that_make_up_a_thing_are_none():
 def test_the_robot_is_left_out_of_every_view():
     views = looks([TABLE, HAMMER_SIZED])
     far_end = (np.array([[0.58, 0.0, 0.02]]), np.array([0.05]))
-    cloud = scene_cloud(views, Workspace(), CloudConfig(robot_padding=0.01), far_end)
+    cloud = scene_cloud(views, Workspace(), CloudConfig(robot_padding=0.01), [far_end] * len(views))
     assert np.linalg.norm(points(cloud) - far_end[0][0], axis=1).min() > 0.058
 
 

@@ -93,7 +93,8 @@ def test_the_oracle_needs_a_simulation():
 
 def test_no_stage_imports_another_stage_a_station_or_the_scenario():
     stages = (
-        "camera", "cloud", "proposer", "feasibility", "candidates", "view_selection", "selector",
+        "camera", "cloud", "look_planning", "proposer", "feasibility", "candidates",
+        "view_selection", "selector",
         "trajectory", "executor",
     )  # fmt: skip
     package = Path(tog_drake.pipeline.__file__).parent

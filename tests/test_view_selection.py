@@ -8,9 +8,10 @@ from tabletop import HAMMER_SIZED, TABLE, look
 
 from tog_drake.errors import InputError, NoView
 from tog_drake.pipeline import PipelineConfig, used_cameras
+from tog_drake.task import target_words
 from tog_drake.values import CameraView, Candidates
 from tog_drake.view_scorers.coverage import Coverage
-from tog_drake.view_selection import HandScorer, Scores, ViewSelector, select_view, target_words
+from tog_drake.view_selection import HandScorer, Scores, ViewSelector, select_view
 
 VIEWS = tuple(
     CameraView(name, look([TABLE, HAMMER_SIZED], eye=eye, width=16, height=12))

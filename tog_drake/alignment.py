@@ -90,7 +90,8 @@ class Aligner(LeafSystem):
         output_ports:
         - alignments
 
-    ``alignments`` is a dict, camera -> ``Alignment``, without the first.
+    ``alignments`` is a dict, camera -> ``Alignment``, without the first; of the cameras as they
+    look now, not of earlier looks.
 
     Args:
         robot_spheres: from the arm's position (7,) [rad] to the balls that cover arm and hand.
@@ -110,7 +111,7 @@ class Aligner(LeafSystem):
         )
 
     def _CalcAlignments(self, context: Context, output: Value) -> None:
-        images = self._views.Eval(context)
+        images = [image for image in self._views.Eval(context) if image.q is None]
         robot = self._robot_spheres(self._position.Eval(context))
         found = alignments([image.view for image in images], self._workspace, robot)
         output.set_value({i.camera: a for i, a in list(zip(images, found, strict=True))[1:]})

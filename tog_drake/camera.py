@@ -22,28 +22,35 @@ class Camera(LeafSystem):
         - "{camera}.rgb_image"
         - "{camera}.depth_image"
         - "{camera}.X_WC"
+        - earlier_views
         output_ports:
         - view
         - views
 
     ``view`` is that of the first camera, the pipeline's own; ``views`` are those of all, a tuple of
-    ``CameraView`` in their order. What nobody asks for is not rendered.
+    ``CameraView`` in their order. What nobody asks for is not rendered. ``earlier_views``, which
+    ``views`` ends with, is there only where the own camera takes further looks (``looks_again``).
 
     Depth that is too near (0), too far (inf) or missing (NaN) becomes 0, a hole.
 
     Args:
         cameras: the intrinsics by the cameras' names, the pipeline's own first.
+        looks_again: whether there may be earlier views of the own camera.
 
     Raises:
         InputError: an image's size differs from that of the intrinsics (an image that has not
             arrived yet is 0×0).
     """
 
-    def __init__(self, cameras: Mapping[str, Intrinsics]):
+    def __init__(self, cameras: Mapping[str, Intrinsics], *, looks_again: bool = False):
         super().__init__()
         self._cameras = dict(cameras)
         self._ports = {name: self._declare_inputs(name) for name in self._cameras}
         tickets = [{port.ticket() for port in ports} for ports in self._ports.values()]
+        self._earlier: InputPort | None = None
+        if looks_again:
+            self._earlier = self.DeclareAbstractInputPort("earlier_views", Value(()))
+            tickets.append({self._earlier.ticket()})
         self._view = self.DeclareAbstractOutputPort(
             "view",
             alloc=lambda: Value(View.empty()),
@@ -71,7 +78,8 @@ class Camera(LeafSystem):
         own, *others = self._cameras
         views = [CameraView(own, self._view.Eval(context))]
         views += [CameraView(name, self._view_of(name, context)) for name in others]
-        output.set_value(tuple(views))
+        earlier = () if self._earlier is None else self._earlier.Eval(context)
+        output.set_value((*views, *earlier))
 
     def _view_of(self, camera: str, context: Context) -> View:
         rgb_port, depth_port, X_WC_port = self._ports[camera]

@@ -20,7 +20,7 @@ from tog_drake.points import (
     surface_normals,
     voxel_numbers,
 )
-from tog_drake.values import Array, View, Workspace
+from tog_drake.values import Array, CameraView, View, Workspace
 
 _NEAR_TABLE = 0.02  # [m] points so close to the table's height tell how noisy it is
 _BINS = 6  # into which they are sorted by depth
@@ -101,16 +101,21 @@ class SceneCloud(LeafSystem):
         )
 
     def _CalcCloud(self, context: Context, output: Value) -> None:
-        robot = None
-        if self._robot_spheres is not None:
-            robot = self._robot_spheres(self._position.Eval(context))
         images = self._images.Eval(context)
-        views = [image.view for image in images] if self._config.fuse else [images]
-        output.set_value(scene_cloud(views, self._workspace, self._config, robot))
+        taken = images if self._config.fuse else [CameraView("", images)]
+        robots: list[Spheres | None] = [None] * len(taken)
+        if self._robot_spheres is not None:
+            q_now = self._position.Eval(context)
+            robots = [self._robot_spheres(q_now if v.q is None else v.q) for v in taken]
+        views = [image.view for image in taken]
+        output.set_value(scene_cloud(views, self._workspace, self._config, robots))
 
 
 def scene_cloud(
-    views: Sequence[View], workspace: Workspace, config: CloudConfig, robot: Spheres | None = None
+    views: Sequence[View],
+    workspace: Workspace,
+    config: CloudConfig,
+    robots: Sequence[Spheres | None] | None = None,
 ) -> PointCloud:
     """Returns the points of the things on the table.
 
@@ -118,7 +123,8 @@ def scene_cloud(
         views: the images and where they were taken from, at least one.
         workspace: what lies outside it, or not above its table, is left out.
         config: see ``CloudConfig``.
-        robot: the balls that cover the robot; the points in them are left out.
+        robots: of each view the balls that covered the robot when it was taken; the points in them
+            are left out.
 
     Returns:
         A cloud in W with colours and with unit normals turned towards the cameras that saw them,
@@ -128,7 +134,10 @@ def scene_cloud(
         InputError: a depth image is all holes.
         NoGrasp: nothing is left.
     """
-    seen = [_seen(view, workspace, config, robot) for view in views]
+    robots = robots or [None] * len(views)
+    seen = [
+        _seen(view, workspace, config, robot) for view, robot in zip(views, robots, strict=True)
+    ]
     surface = seen[0] if len(seen) == 1 else fused(seen, config.voxel)
     keep = _of_things(surface, workspace, config)
     if not keep.any():

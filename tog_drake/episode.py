@@ -12,11 +12,19 @@ from tog_drake.cameras import noise_of
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
+from tog_drake.look_planning import Once
 from tog_drake.pipeline import Decision, decide
-from tog_drake.record import AttemptRecord, EpisodeRecord, attempt_record, new_record
+from tog_drake.record import (
+    AttemptRecord,
+    EpisodeRecord,
+    LookRecord,
+    attempt_record,
+    look_record,
+    new_record,
+)
 from tog_drake.scenario import Scenario
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
-from tog_drake.values import Exchange, Grasps
+from tog_drake.values import Exchange, Grasps, NextLook
 from tog_drake.visualization import draw_decision, replay_html
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World, build_world, look
@@ -52,7 +60,7 @@ def run_episode(
         target: as in ``build_world``.
         meshcat: where to draw and record, if anywhere.
         shared: where other episodes may have done some of this work already. It does not serve
-            those that are shown, nor those that may look again (``retries``).
+            those that are shown, nor those that may look again (``retries``, ``look``).
 
     Raises:
         InputError: if the scenario or the task cannot be used.
@@ -63,7 +71,8 @@ def run_episode(
         meshcat.StartRecording()
     simulator = look(world, scenario, task)
     kept = None
-    if shared is not None and meshcat is None and scenario.pipeline.retries == 0:
+    one_look = scenario.pipeline.retries == 0 and isinstance(scenario.pipeline.look, Once)
+    if shared is not None and meshcat is None and one_look:
         context = simulator.get_mutable_context()
         kept = KeptWorld(shared, scenario, context, world.pipeline, world.target)
     judge = Judge(world.station, world.labels, world.target)
@@ -109,10 +118,17 @@ def _run(
     context = simulator.get_mutable_context()
     course = _Course()
     while True:
+        looks, state = _look_around(simulator, world, judge, course)
+        if state is not None and state.phase is Phase.FAILED:
+            course.decision, course.looked, course.between = Decision(), context.get_time(), None
+            course.attempts.append(attempt_record(course.decision, looks))
+            verdict = judge.verdict(state, task)
+            course.execution = _executed(world, context, verdict, state, course.wall)
+            return course
         decision = decide(world.pipeline, context) if kept is None else kept.decide(context)
         course.decision, course.looked = decision, context.get_time()
         course.between = _parts_between_fingers(world, context, decision)
-        course.attempts.append(attempt_record(decision))
+        course.attempts.append(attempt_record(decision, looks))
         if meshcat is not None:
             _draw(meshcat, decision, world)
         if decision.error is not None:
@@ -151,6 +167,32 @@ def _record(course: _Course, scenario: Scenario, world: World, task: str) -> Epi
         if decision.motion is not None:
             record["closes_on"] = between[decision.motion.grasp_index]
     return record
+
+
+def _look_around(
+    simulator: Simulator, world: World, judge: Judge, course: _Course
+) -> tuple[list[LookRecord], ExecutorState | None]:
+    """Lets the arm take the further looks that the pipeline asks for, before anything is decided.
+
+    Returns:
+        What is recorded of them, and how the last one ended (None: there was none).
+    """
+    pipeline, context = world.pipeline, simulator.get_context()
+    mine = pipeline.GetMyContextFromRoot(context)
+    looks: list[LookRecord] = []
+    state = None
+    while pipeline.executor.looks_left(pipeline.executor.GetMyContextFromRoot(context)) > 0:
+        started = time.perf_counter()
+        next_look: NextLook = pipeline.GetOutputPort("next_look").Eval(mine)
+        planned = time.perf_counter()
+        looks.append(look_record(next_look, planned - started))
+        if next_look.motion is None:
+            break
+        state = _execute(simulator, world, judge)
+        course.wall += time.perf_counter() - planned
+        if state.phase is Phase.FAILED:
+            break
+    return looks, state
 
 
 def _since_look(world: World, context: Context) -> float:
@@ -205,18 +247,18 @@ def _check_success_is_possible(scenario: Scenario) -> None:
 
 
 def _execute(simulator: Simulator, world: World, judge: Judge) -> ExecutorState:
-    """Lets the executor move until it has ended or looks again; the judge watches."""
+    """Lets the executor move until it has ended or looks once more; the judge watches."""
     context = simulator.get_context()
     station_context = world.station.GetMyContextFromRoot(context)
     executor = world.pipeline.executor
-    attempt: int | None = None
+    look_at: float | None = None
     judge.start_over()
     while True:
         state = executor.state(executor.GetMyContextFromRoot(context))
         judge.observe(station_context, state)
-        attempt = attempt or state.attempt
+        look_at = look_at or state.look_at
         then = context.get_time() + _SAMPLE
-        if state.attempt > attempt:  # it is back, and stands still until it looks
+        if state.look_at > look_at:  # it has arrived, and stands still until it looks
             then = min(then, state.look_at)
         if state.phase in (Phase.DONE, Phase.FAILED) or then <= context.get_time():
             return state

@@ -7,13 +7,20 @@ from enum import Enum
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    InputPort,
+    LeafSystem,
+    State,
+)
 from pydrake.trajectories import Trajectory
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
 from tog_drake.time_parameterization import JointLimits, come_to_rest
-from tog_drake.values import Array, GraspMotion, Grasps
+from tog_drake.values import Array, CameraView, GraspMotion, Grasps, NextLook
 
 
 @dataclass
@@ -31,13 +38,14 @@ class Phase(Enum):
 
     OBSERVE = "observe"  # standing still, before the look
     READY = "ready"  # the motion is there; the next update stamps its start
+    LOOK = "look"  # going to where it looks again, before anything is decided
     MOVE = "move"  # playing the motion
     RETREAT = "retreat"  # it held nothing: back to where the motion began, to look again
     DONE = "done"  # holding its end
     FAILED = "failed"  # braking, as the arm no longer followed, then holding where that ends
 
 
-_PLAYING = (Phase.MOVE, Phase.RETREAT)
+_PLAYING = (Phase.LOOK, Phase.MOVE, Phase.RETREAT)
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,7 @@ class ExecutorState:
     q_hold: Array | None = None  # (7,) [rad] posture held outside MOVE; None before first update
     opening_hold: float | None = None  # [m] likewise of the hand
     motion: GraspMotion | None = None  # of the last look
+    next_look: GraspMotion | None = None  # to it, in LOOK and in READY before
     start_time: float = 0.0  # [s] of the motion, in the time of the Context
     look_at: float = 0.0  # [s] of the next look in OBSERVE, of the last one afterwards
     attempt: int = 1
@@ -60,7 +69,7 @@ class ExecutorState:
 
 
 class GraspExecutor(LeafSystem):
-    """Plays the motion that the pipeline computes from a look; looks again where it held nothing.
+    """Plays the motion that the pipeline computes from a look; may look again before and after.
 
     .. pydrake_system::
 
@@ -69,10 +78,12 @@ class GraspExecutor(LeafSystem):
         - motion
         - panda.position_measured
         - hand.state_measured
+        - next_look
         output_ports:
         - panda.position
         - hand.position
         - failed_grasps
+        - earlier_views
 
     Before the first update the measured positions pass straight through, so that the first command
     moves neither arm nor hand; then the hand opens. At ``look_time`` the update evaluates
@@ -86,12 +97,17 @@ class GraspExecutor(LeafSystem):
     again and plays what the pipeline now says. ``failed_grasps`` is what it has learned; it comes
     from the state, so that the pipeline may read it without a loop.
 
+    With ``max_looks`` above 0 there are ``next_look`` and ``earlier_views``. Before ``motion`` it
+    evaluates ``next_look``; where that has a motion, it remembers the present view among
+    ``earlier_views``, plays it with the hand open, stands still for ``look_time`` and begins anew.
+    Where a grasp held nothing, the views from before it are forgotten: it may have moved things.
+
     Raises:
         NoPlan: in the update, if the motion does not start where the arm is: to command it would
             be a jump.
     """
 
-    def __init__(self, config: ExecutorConfig, *, retries: int = 0):
+    def __init__(self, config: ExecutorConfig, *, retries: int = 0, max_looks: int = 0):
         super().__init__()
         # At time 0 it would look while the simulator initializes, before anybody else can.
         if min(config.period, config.look_time, config.max_tracking_error) <= 0:
@@ -103,12 +119,14 @@ class GraspExecutor(LeafSystem):
             raise InputError(f"retries is {retries}; valid: 0 or more")
         self._config = config
         self._retries = retries
+        self._max_looks = max_looks
         self._look_time = self._on_grid(config.look_time)
         self._motion = self.DeclareAbstractInputPort("motion", Value(GraspMotion.still()))
         self._measured = self.DeclareVectorInputPort("panda.position_measured", 7)
         self._hand = self.DeclareVectorInputPort("hand.state_measured", 2)
         self._state = self.DeclareAbstractState(Value(ExecutorState(look_at=self._look_time)))
         self._failed = self.DeclareAbstractState(Value(Grasps.empty()))
+        self._earlier = self.DeclareAbstractState(Value(()))
         state_ticket = self.abstract_state_ticket(self._state)
         self.DeclareVectorOutputPort(
             "panda.position",
@@ -128,6 +146,15 @@ class GraspExecutor(LeafSystem):
             calc=self._CalcFailed,
             prerequisites_of_calc={self.abstract_state_ticket(self._failed)},
         )
+        self._next_look: InputPort | None = None
+        if max_looks > 0:
+            self._next_look = self.DeclareAbstractInputPort("next_look", Value(NextLook.none()))
+            self.DeclareAbstractOutputPort(
+                "earlier_views",
+                alloc=lambda: Value(()),
+                calc=self._CalcEarlierViews,
+                prerequisites_of_calc={self.abstract_state_ticket(self._earlier)},
+            )
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._Update)
 
     @property
@@ -143,12 +170,26 @@ class GraspExecutor(LeafSystem):
         value: ExecutorState = context.get_abstract_state(int(self._state)).get_value()
         return value
 
+    def looks_left(self, context: Context) -> int:
+        """Returns how many further looks it may still take in its own ``context``."""
+        return self._max_looks - len(self._earlier_views(context))
+
+    def _earlier_views(self, context: Context) -> tuple[CameraView, ...]:
+        views: tuple[CameraView, ...] = context.get_abstract_state(int(self._earlier)).get_value()
+        return views
+
     def _Update(self, context: Context, state: State) -> EventStatus:
         before = self.state(context)
-        after = self._next(before, context)
+        look = self._look(before, context)
+        after = self._next(before, context) if look is None else _to_look(before, look)
         if after is before:
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._state)).set_value(after)
+        if look is not None:
+            earlier = (*self._earlier_views(context), look.left)
+            state.get_mutable_abstract_state(int(self._earlier)).set_value(earlier)
+        if after.attempt > before.attempt:
+            state.get_mutable_abstract_state(int(self._earlier)).set_value(())
         if after.phase is Phase.RETREAT and before.phase is Phase.MOVE:
             assert after.motion is not None
             failed: Grasps = context.get_abstract_state(int(self._failed)).get_value()
@@ -156,6 +197,17 @@ class GraspExecutor(LeafSystem):
                 _appended(failed, after.motion.grasp)
             )
         return EventStatus.Succeeded()
+
+    def _look(self, s: ExecutorState, context: Context) -> NextLook | None:
+        """Returns the further look that begins now, if one does."""
+        observes = s.phase is Phase.OBSERVE and context.get_time() >= s.look_at
+        if not observes or self._next_look is None or self.looks_left(context) <= 0:
+            return None
+        look: NextLook = deepcopy(self._next_look.Eval(context))
+        if look.motion is None:
+            return None
+        self._require_start(look.motion, self._measured.Eval(context))
+        return look
 
     def _next(self, s: ExecutorState, context: Context) -> ExecutorState:
         t = context.get_time()
@@ -166,7 +218,8 @@ class GraspExecutor(LeafSystem):
             self._require_start(motion, self._measured.Eval(context))
             return replace(_holding(s, motion, 0.0), phase=Phase.READY, motion=motion)
         if s.phase is Phase.READY:
-            return replace(s, phase=Phase.MOVE, start_time=t)
+            phase = Phase.MOVE if s.next_look is None else Phase.LOOK
+            return replace(s, phase=phase, start_time=t)
         if s.phase in _PLAYING:
             return self._watch(s, context)
         return s
@@ -193,8 +246,10 @@ class GraspExecutor(LeafSystem):
         if elapsed < played.duration:
             return s
         s = _holding(s, played, played.duration)
+        look_at = self._on_grid(t + self._config.look_time)
+        if s.phase is Phase.LOOK:
+            return replace(s, phase=Phase.OBSERVE, next_look=None, look_at=look_at)
         if s.phase is Phase.RETREAT:
-            look_at = self._on_grid(t + self._config.look_time)
             return replace(s, phase=Phase.OBSERVE, attempt=s.attempt + 1, look_at=look_at)
         opening = float(self._hand.Eval(context)[0])
         empty = opening < self._config.empty_opening and played.retreat is not None
@@ -233,10 +288,13 @@ class GraspExecutor(LeafSystem):
     def _CalcFailed(self, context: Context, output: Value) -> None:
         output.set_value(context.get_abstract_state(int(self._failed)).get_value())
 
+    def _CalcEarlierViews(self, context: Context, output: Value) -> None:
+        output.set_value(self._earlier_views(context))
+
 
 def _played(s: ExecutorState, t: float) -> tuple[GraspMotion, float]:
     """Returns what is played at ``t`` [s], and how far it has come [s]."""
-    played = s.motion
+    played = s.next_look if s.phase is Phase.LOOK else s.motion
     start = s.start_time
     if s.phase is Phase.RETREAT:
         assert played is not None
@@ -244,6 +302,12 @@ def _played(s: ExecutorState, t: float) -> tuple[GraspMotion, float]:
         played = played.retreat
     assert played is not None
     return played, min(t - start, played.duration)
+
+
+def _to_look(s: ExecutorState, look: NextLook) -> ExecutorState:
+    """Returns the state that is ready for a further look."""
+    assert look.motion is not None
+    return replace(_holding(s, look.motion, 0.0), phase=Phase.READY, next_look=look.motion)
 
 
 def _holding(s: ExecutorState, motion: GraspMotion, elapsed: float) -> ExecutorState:

@@ -149,11 +149,14 @@ class Judge:
         return _collisions(self.samples)
 
     def verdict(self, state: ExecutorState, task: str) -> Verdict:
-        """Returns how the episode ended, from all samples."""
-        assert state.motion is not None
+        """Returns how the episode ended, from all samples.
+
+        Where the arm was stopped on its way to a further look, there is no motion with phases.
+        """
+        never = {"close": np.inf, "lift": np.inf}
         return verdict_of(
             self.samples,
-            state.motion.phase_times,
+            never if state.motion is None else state.motion.phase_times,
             stopped=state.phase is Phase.FAILED,
             target=self._target,
             allowed=self._labels.objects[self._target].allowed(task),

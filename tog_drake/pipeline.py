@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from tog_drake.compliance import PartLabels
 from tog_drake.errors import EpisodeError, InputError
 from tog_drake.executor import ExecutorConfig, GraspExecutor
 from tog_drake.feasibility import FeasibilityConfig, FeasibilityFilter
+from tog_drake.look_planning import Active, LookConfig, LookPlanner, LookWays, Once
 from tog_drake.panda import MAX_OPENING
 from tog_drake.planning_model import PlanningModel
 from tog_drake.proposer import GraspProposer, Proposer, weights_of
@@ -79,6 +80,8 @@ SCORERS: dict[str, type[ScorerConfig]] = {
     "vlm-compare": VlmCompare,
 }
 
+LOOKS: dict[str, type[LookConfig]] = {"once": Once, "active": Active}
+
 _TABLE_TOLERANCE = 0.002  # [m]
 
 
@@ -117,6 +120,7 @@ class PipelineConfig:
     """One entry a stage, in the order of the data."""
 
     camera: str = "wrist"  # which of the scenario's cameras looks
+    look: LookConfig = field(default_factory=Once)  # or from more than one place, before it decides
     workspace: Workspace = field(default_factory=Workspace)
     cloud: CloudConfig = field(default_factory=CloudConfig)
     proposer: ProposerConfig = field(default_factory=Antipodal)
@@ -167,7 +171,8 @@ class GraspPipeline(Diagram):
     Every stage's value is exported, to be inspected and timed. It reads its own camera, and the
     others only where their views are compared or fused; where they are fused, there is one more
     output, ``alignments``. With ``!Oracle`` as selector there is one more input,
-    ``cheat.query_object``, which only a simulation can feed.
+    ``cheat.query_object``, which only a simulation can feed. With ``look: !Active`` there are two
+    more outputs, ``next_look`` and ``earlier_views``.
     """
 
     def __init__(
@@ -183,18 +188,27 @@ class GraspPipeline(Diagram):
         self.cameras = used_cameras(config, cameras)
         _check_workspace(config.workspace)
         _check_table(config.workspace, planning_model)
-        self.executor = GraspExecutor(config.executor, retries=config.retries)
+        active = config.look if isinstance(config.look, Active) else None
+        self.executor = GraspExecutor(
+            config.executor,
+            retries=config.retries,
+            max_looks=0 if active is None else active.max_looks,
+        )
         self.proposer = make_proposer(config, seed)
+        # The looks of an active one make the cloud together, with one camera or several.
+        cloud = replace(config.cloud, fuse=config.cloud.fuse or active is not None)
         stages: dict[str, LeafSystem] = {
-            "camera": Camera({name: cameras[name] for name in self.cameras}),
+            "camera": Camera(
+                {name: cameras[name] for name in self.cameras}, looks_again=active is not None
+            ),
             "cloud": SceneCloud(
-                config.cloud,
+                cloud,
                 config.workspace,
                 robot_spheres=lambda q: _spheres(planning_model, q),
             ),
             "proposer": GraspProposer(self.proposer),
             "feasibility": FeasibilityFilter(
-                config.feasibility, config.workspace, planning_model, fused=config.cloud.fuse
+                config.feasibility, config.workspace, planning_model, fused=cloud.fuse
             ),
             "candidates": CandidatePicker(config.candidates, seed=seed),
             "view_selector": ViewSelector(
@@ -210,6 +224,8 @@ class GraspPipeline(Diagram):
             stages["aligner"] = Aligner(
                 config.workspace, robot_spheres=lambda q: _spheres(planning_model, q)
             )
+        if active is not None:
+            stages["look_planner"] = _make_look_planner(config, active, planning_model, seed)
         self._stages = list(stages.values())
         builder = DiagramBuilder()
         for name, stage in stages.items():
@@ -317,10 +333,10 @@ def used_cameras(config: PipelineConfig, cameras: Collection[str]) -> tuple[str,
         )
     if isinstance(config.view_selection.scorer, Hand) and not config.cloud.fuse:
         return (own,)
-    if len(cameras) == 1:
+    if len(cameras) == 1 and isinstance(config.look, Once):
         raise InputError(
             f"views are to be compared or fused, but the scenario has one camera, {own}; valid: "
-            "more in its `cameras`, or with --side-cameras"
+            "more in its `cameras`, or with --side-cameras, or looks with --look active"
         )
     return (own, *(name for name in cameras if name != own))
 
@@ -390,6 +406,14 @@ def _make_selector_system(
     return GraspSelector(make_selector(config, seed))
 
 
+def _make_look_planner(
+    config: PipelineConfig, look: Active, planning_model: PlanningModel, seed: int
+) -> LookPlanner:
+    moves = config.trajectory
+    ways = LookWays(planning_model, moves.speed, moves.position_margin, moves.transfer, seed)
+    return LookPlanner(look, config.workspace, ways, config.view_selection.target)
+
+
 def _spheres(planning_model: PlanningModel, q: Array) -> tuple[Array, Array]:
     """The robot's spheres at q (7,), hand open: centres (S, 3) and radii (S,) [m] in W."""
     centres, radii, _ = planning_model.spheres(np.asarray(q)[None], MAX_OPENING)
@@ -447,7 +471,7 @@ class Decision:
     motion: GraspMotion | None = None
     error: EpisodeError | None = None
     seconds: dict[str, float] = field(default_factory=dict)
-    views: tuple[CameraView, ...] = ()  # of all cameras, where they were compared
+    views: tuple[CameraView, ...] = ()  # of all cameras and looks, where there are several
     alignments: Mapping[str, Alignment] | None = None  # by camera, where views were fused
     weights: Mapping[str, Any] | None = None  # those that the proposer works with, see weights_of
 
@@ -500,8 +524,9 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
             break
         finally:
             decision.seconds[stage.key] = time.perf_counter() - start
-    if decision.selected_view is not None and len(pipeline.cameras) > 1:
-        decision.views = pipeline.GetOutputPort("views").Eval(mine)
+    if decision.selected_view is not None:
+        views = pipeline.GetOutputPort("views").Eval(mine)
+        decision.views = views if len(views) > 1 else ()
     if pipeline.HasOutputPort("alignments"):
         decision.alignments = pipeline.GetOutputPort("alignments").Eval(mine)
     decision.weights = weights_of(pipeline.proposer)

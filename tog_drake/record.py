@@ -14,7 +14,7 @@ from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
-from tog_drake.values import CameraView, Grasps
+from tog_drake.values import CameraView, Grasps, NextLook
 from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.visibility import shown_in
 from tog_drake.vlm_record import (
@@ -66,9 +66,21 @@ class AlignmentRecord(TypedDict):
     message: str  # for a person
 
 
-class AttemptRecord(TypedDict):
-    """One look and what came of it, as far as the robot itself can tell."""
+class LookRecord(TypedDict):
+    """Whether the camera at the hand looked again before anything was decided, and from where."""
 
+    X_WC: list[list[float]] | None  # (4, 4) that was planned; null: no further look
+    reason: str
+    shown: float  # share of the target's guessed surface that the views showed before
+    expected: float  # with the further look
+    duration: float | None  # [s] simulated, of the way there; null: no further look
+    planning: float  # [s] wall time, with the stages that it needed
+
+
+class AttemptRecord(TypedDict):
+    """One look, or several, and what came of it, as far as the robot itself can tell."""
+
+    looks: list[LookRecord]  # further ones, in order; the last says why there was no other
     choice: ChoiceRecord | None
     exchanges: list[ExchangeRecord]  # with a model; those of the last look are in ``vlm`` too
     motion: dict[str, Any] | None  # duration [s], phases [s], note
@@ -317,9 +329,22 @@ def _choice_record(decision: Decision) -> ChoiceRecord | None:
     )
 
 
-def attempt_record(decision: Decision) -> AttemptRecord:
+def look_record(look: NextLook, planning: float) -> LookRecord:
+    """Returns what is recorded of a further look that took ``planning`` [s] to plan."""
+    return LookRecord(
+        X_WC=None if look.X_WC is None else look.X_WC.tolist(),
+        reason=look.reason,
+        shown=look.shown,
+        expected=look.expected,
+        duration=None if look.motion is None else look.motion.duration,
+        planning=planning,
+    )
+
+
+def attempt_record(decision: Decision, looks: Sequence[LookRecord] = ()) -> AttemptRecord:
     """Returns what a decision says of its attempt; what the hand felt is not known yet."""
     return AttemptRecord(
+        looks=list(looks),
         choice=_choice_record(decision),
         exchanges=exchange_records(exchanges_of(decision)),
         motion=_motion_record(decision),

@@ -288,3 +288,19 @@ def _unknown(words: list[str], phrases: list[Phrase], *, said: bool) -> tuple[st
         if phrase.lead == "by" and not set(phrase.words) & named
     ]
     return tuple(dict.fromkeys(found))
+
+
+def target_words(task: str, target: str | None = None) -> str:
+    """Returns the words of the object that a task is about, such as "red mug".
+
+    Args:
+        task: what a person said.
+        target: the words where they are given; then the task is not read.
+
+    Returns:
+        The colour and the noun as far as the task names them; "" where it names neither.
+    """
+    if target is not None or not task.strip():
+        return target or ""
+    reading = read_task(task)
+    return " ".join(word for word in (reading.colour, *reading.objects[:1]) if word)

@@ -119,6 +119,7 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
         table.add_row(stage, count, f"{seconds * 1e3:.0f}")
     console.print(table)
     print_origins(console, [record["proposer"]])
+    print_looks(console, record)
     print_view(console, record)
     for camera, alignment in (record["alignment"] or {}).items():
         if not alignment["tolerable"]:
@@ -142,6 +143,20 @@ def print_stages(console: Console, record: "EpisodeRecord") -> None:
     )
     for pair, newtons in (record["collisions"] or {}).items():
         say(console, f"collision: {pair}, {newtons:.1f} N")
+
+
+def print_looks(console: Console, record: "EpisodeRecord") -> None:
+    """One line for each further look of the last attempt, and for why there was no other."""
+    for look in record["attempts"][-1]["looks"]:
+        if look["X_WC"] is None:
+            say(console, look["reason"])
+            continue
+        x, y, z = (row[3] for row in look["X_WC"][:3])
+        say(
+            console,
+            f"looked again from ({x:.2f}, {y:.2f}, {z:.2f}) m, {look['duration']:.1f} s away: "
+            f"{look['reason']}",
+        )
 
 
 def print_view(console: Console, record: "EpisodeRecord") -> None:

@@ -11,16 +11,13 @@ from pydrake.trajectories import CompositeTrajectory, PiecewisePolynomial, Traje
 from tog_drake.distance_field import DistanceField
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.obstacles import Obstacles
-from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX, arrival_opening
+from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER, arrival_opening
 from tog_drake.planning_model import PlanningModel
 from tog_drake.time_parameterization import PEAK_SPEED, JointLimits, rest_to_rest
-from tog_drake.transfer import TransferConfig, plan_transfer
+from tog_drake.transfer import TransferConfig, check_limits, limits_at, plan_transfer
 from tog_drake.values import Array, Candidates, Choice, FeasibleGrasps, GraspMotion
 
-_RATES = ("velocity", "acceleration", "jerk")
-_LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
 _POSTURE_TOLERANCE = 0.01  # [rad] by which a measured posture may pass a position limit
-_TOLERANCE = 1e-3  # part of a limit that rounding may take more
 
 
 @dataclass
@@ -133,7 +130,7 @@ def _plan_grasp(
 
     closing = _still(q_approach[-1], t_close, t_lift)
     arm = CompositeTrajectory([transfer, approach, closing, lift, _still(q_lift[-1], t_hold, end)])
-    _check_limits(arm, q_now, limits)
+    check_limits(arm, q_now, limits)
     return GraspMotion(
         arm=arm,
         hand=PiecewisePolynomial.FirstOrderHold(
@@ -167,7 +164,7 @@ def _with_retreat(
     t = (MAX_OPENING - config.closed) / config.closing_speed
     end = t + way.end_time()
     arm = CompositeTrajectory.AlignAndConcatenate([_still(q_from, 0.0, t), way])
-    _check_limits(arm, q_from, limits)
+    check_limits(arm, q_from, limits)
     hand = PiecewisePolynomial.FirstOrderHold(
         [0.0, t, end], np.array([[config.closed, MAX_OPENING, MAX_OPENING]])
     )
@@ -186,24 +183,14 @@ def _require_plausible(q_now: Array) -> None:
 
 
 def _limits(config: TrajectoryConfig, q_now: Array, q_path: Array) -> JointLimits:
-    """The robot's limits at the configured speed.
-
-    The margin to the position limits gives way to ``q_now`` (7,) and ``q_path`` (N, 7); the limits
-    themselves do so to ``q_now`` alone, where the arm is already.
-    """
-    if not 0 < config.speed <= 1:
-        raise InputError(f"trajectory.speed is {config.speed}; valid: above 0, up to 1")
+    """The robot's limits at the configured speed; see ``limits_at``."""
     if min(config.approach_speed, config.lift_speed, config.closing_speed) <= 0:
         raise InputError(
             "trajectory: approach_speed, lift_speed and closing_speed must be above 0 [m/s]"
         )
     if min(config.settle_time, config.hold_time) < 0:
         raise InputError("trajectory: settle_time and hold_time must not be below 0 [s]")
-    q = np.vstack([q_now, q_path])
-    lower, upper = Q_LOWER + config.position_margin, Q_UPPER - config.position_margin
-    lower = np.clip(q.min(axis=0), np.minimum(Q_LOWER, q_now), lower)
-    upper = np.clip(q.max(axis=0), upper, np.maximum(Q_UPPER, q_now))
-    return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(config.speed)
+    return limits_at(config.speed, config.position_margin, q_now, q_path)
 
 
 def _straight(
@@ -216,30 +203,6 @@ def _straight(
 
 def _still(q: Array, start: float, end: float) -> Trajectory:
     return PiecewisePolynomial.FirstOrderHold([start, end], np.stack([q, q], axis=1))
-
-
-def _check_limits(arm: Trajectory, q_now: Array, limits: JointLimits) -> None:
-    """Raises NoPlan unless the motion starts at rest at q_now, is finite and inside the limits."""
-    end = arm.end_time()
-    times = np.linspace(0, end, int(end / _LIMIT_PERIOD) + 2)
-    q = arm.vector_values(times)
-    rates = [arm.MakeDerivative(order).vector_values(times) for order in (1, 2, 3)]
-    if not all(np.isfinite(values).all() for values in (q, *rates)):
-        raise NoPlan("the motion holds values that are not finite; plan with another seed")
-    start = max(np.abs(q[:, 0] - q_now).max(), np.abs(rates[0][:, 0]).max())
-    if start > 1e-9:
-        raise NoPlan(f"the motion starts {start:.2g} away from rest at the arm's present posture")
-    middle, half = (limits.upper + limits.lower) / 2, (limits.upper - limits.lower) / 2
-    used = {"position": np.abs(q.T - middle) / half}  # 1 is at the limit
-    for name, rate, limit in zip(_RATES, rates, limits.rates(), strict=True):
-        used[name] = np.abs(rate.T) / limit
-    for name, part in used.items():
-        if part.max() > 1 + _TOLERANCE:
-            i, joint = np.unravel_index(part.argmax(), part.shape)
-            raise NoPlan(
-                f"the motion would break the {name} limit of joint {joint + 1} at "
-                f"{times[i]:.2f} s, at {100 * part.max():.1f} % of it; plan with a lower speed"
-            )
 
 
 class TrajectoryOptimizer(LeafSystem):

@@ -10,8 +10,9 @@ from itertools import pairwise
 import numpy as np
 from pydrake.trajectories import CompositeTrajectory, Trajectory
 
-from tog_drake.errors import NoPlan
+from tog_drake.errors import InputError, NoPlan
 from tog_drake.obstacles import Obstacles
+from tog_drake.panda import A_MAX, J_MAX, Q_LOWER, Q_UPPER, V_MAX
 from tog_drake.path_planning import corners, find_path, shortcut
 from tog_drake.time_parameterization import (
     JointLimits,
@@ -22,6 +23,9 @@ from tog_drake.time_parameterization import (
 from tog_drake.values import Array
 
 _ROUNDING = 1e-6  # [m]
+_RATES = ("velocity", "acceleration", "jerk")
+_LIMIT_PERIOD = 0.005  # [s] between the samples at which the limits are checked
+_TOLERANCE = 1e-3  # part of a limit that rounding may take more
 
 
 @dataclass
@@ -107,3 +111,50 @@ def _with_stops(path: Array, limits: JointLimits) -> Trajectory:
         start = segments[-1].end_time() if segments else 0.0
         segments.append(rest_to_rest(np.stack(line), limits, start))
     return CompositeTrajectory(segments)
+
+
+def limits_at(speed: float, position_margin: float, q_now: Array, q_path: Array) -> JointLimits:
+    """Returns the robot's limits at a speed.
+
+    The margin to the position limits gives way to ``q_now`` (7,) and ``q_path`` (N, 7); the limits
+    themselves do so to ``q_now`` alone, where the arm is already.
+
+    Args:
+        speed: part of the fastest, above 0, up to 1.
+        position_margin: [rad] kept from the joints' position limits.
+        q_now, q_path: [rad].
+
+    Raises:
+        InputError: a speed that is none.
+    """
+    if not 0 < speed <= 1:
+        raise InputError(f"trajectory.speed is {speed}; valid: above 0, up to 1")
+    q = np.vstack([q_now, q_path])
+    lower, upper = Q_LOWER + position_margin, Q_UPPER - position_margin
+    lower = np.clip(q.min(axis=0), np.minimum(Q_LOWER, q_now), lower)
+    upper = np.clip(q.max(axis=0), upper, np.maximum(Q_UPPER, q_now))
+    return JointLimits(lower, upper, V_MAX, A_MAX, J_MAX).scaled(speed)
+
+
+def check_limits(arm: Trajectory, q_now: Array, limits: JointLimits) -> None:
+    """Raises NoPlan unless the motion starts at rest at q_now, is finite and inside the limits."""
+    end = arm.end_time()
+    times = np.linspace(0, end, int(end / _LIMIT_PERIOD) + 2)
+    q = arm.vector_values(times)
+    rates = [arm.MakeDerivative(order).vector_values(times) for order in (1, 2, 3)]
+    if not all(np.isfinite(values).all() for values in (q, *rates)):
+        raise NoPlan("the motion holds values that are not finite; plan with another seed")
+    start = max(np.abs(q[:, 0] - q_now).max(), np.abs(rates[0][:, 0]).max())
+    if start > 1e-9:
+        raise NoPlan(f"the motion starts {start:.2g} away from rest at the arm's present posture")
+    middle, half = (limits.upper + limits.lower) / 2, (limits.upper - limits.lower) / 2
+    used = {"position": np.abs(q.T - middle) / half}  # 1 is at the limit
+    for name, rate, limit in zip(_RATES, rates, limits.rates(), strict=True):
+        used[name] = np.abs(rate.T) / limit
+    for name, part in used.items():
+        if part.max() > 1 + _TOLERANCE:
+            i, joint = np.unravel_index(part.argmax(), part.shape)
+            raise NoPlan(
+                f"the motion would break the {name} limit of joint {joint + 1} at "
+                f"{times[i]:.2f} s, at {100 * part.max():.1f} % of it; plan with a lower speed"
+            )

@@ -51,8 +51,9 @@ class View:
 class CameraView:
     """A view, and which camera took it."""
 
-    camera: str  # as in the scenario, such as "wrist"; a later look of it is "wrist#2"
+    camera: str  # as in the scenario, such as "wrist"; its first look is "wrist#1" after the next
     view: View
+    q: Array | None = None  # (7,) [rad] where the arm was at an earlier look; None: where it is
 
 
 @dataclass
@@ -245,3 +246,20 @@ class GraspMotion:
             duration=0.0,
             phase_times={},
         )
+
+
+@dataclass(frozen=True)
+class NextLook:
+    """Where the pipeline's own camera goes for a further look, or that it stays."""
+
+    motion: GraspMotion | None  # of the arm, its hand open; None: it stays
+    reason: str  # for a person
+    X_WC: Array | None = None  # (4, 4) of the camera, at the end of the motion
+    shown: float = 0.0  # share of what is guessed of the target's surface that the views show
+    expected: float = 0.0  # with the further look
+    left: CameraView | None = None  # the present view of that camera, to be remembered
+
+    @staticmethod
+    def none() -> "NextLook":
+        """No further look: the model value of ports."""
+        return NextLook(None, "")

@@ -39,12 +39,20 @@ class ViewOptions:
         bool, typer.Option("--fuse", help="Make the cloud of all cameras' views, not of one.")
     ] = False
 
+    look: Annotated[
+        str | None,
+        typer.Option(
+            help="once | active: with further looks of the hand's camera, all of which are fused."
+        ),
+    ] = None
+
     def apply(self, scenario: "Scenario") -> None:
         """Puts the options into a scenario; its other settings stay.
 
         Raises:
             InputError: an unknown name.
         """
+        from tog_drake.pipeline import LOOKS
         from tog_drake.scenario import with_side_cameras
 
         config = scenario.pipeline
@@ -52,6 +60,9 @@ class ViewOptions:
             scenario.cameras = with_side_cameras(scenario.cameras)
         if self.fuse:
             config.cloud.fuse = True
+        if self.look is not None:
+            kind = valid(self.look, LOOKS, "look")
+            config.look = config.look if isinstance(config.look, kind) else kind()
         put_view(config, self.view)
         if self.target is not None:
             config.view_selection.target = self.target

@@ -15,7 +15,7 @@ from pydrake.common.value import Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
-from tog_drake.task import read_task
+from tog_drake.task import target_words
 from tog_drake.values import CameraView, Candidates, Exchange, SelectedView
 
 
@@ -73,22 +73,6 @@ class HandScorer:
         """Returns 1 for the first view and 0 for the others."""
         values = (1.0, *(0.0 for _ in views[1:]))
         return Scores(values, "The pipeline's own camera; no view was compared.")
-
-
-def target_words(task: str, target: str | None = None) -> str:
-    """Returns the words of the object that a task is about, such as "red mug".
-
-    Args:
-        task: what a person said.
-        target: the words where they are given; then the task is not read.
-
-    Returns:
-        The colour and the noun as far as the task names them; "" where it names neither.
-    """
-    if target is not None or not task.strip():
-        return target or ""
-    reading = read_task(task)
-    return " ".join(word for word in (reading.colour, *reading.objects[:1]) if word)
 
 
 def select_view(

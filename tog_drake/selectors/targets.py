@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.perception import PointCloud
 
 from tog_drake.errors import NoChoice
 from tog_drake.lexicon import LEXICON
 from tog_drake.selectors.colour import chromaticity, fit, rivals, white_balanced
 from tog_drake.selectors.likeness import likeness, most_like
 from tog_drake.selectors.segmentation import Labels, Mask, cut_out, is_heap, segment
-from tog_drake.task import TaskReading
+from tog_drake.task import TaskReading, read_task
 from tog_drake.values import Array
 
 MIN_FIT = 0.10  # of a colour name, averaged over a thing: less is another colour
@@ -73,6 +74,30 @@ def find_target(
         f"{len(things)} objects are in view and the task does not tell them apart: {alike}. They "
         f"look like {_looks_of(points, things)}. Name its colour, such as 'the red one'."
     )
+
+
+def target_or_all(
+    cloud: PointCloud, words: str, image: NDArray[np.uint8], table_height: float
+) -> Target:
+    """Returns the thing that words such as "red mug" mean; all things, where none is told.
+
+    Args:
+        cloud: of the things on the table, in W, with normals and colours.
+        words: of the target; "" where nobody says which it is.
+        image: (H, W, 3) that the cloud was seen in.
+        table_height: [m] z of the table top in W.
+    """
+    points = np.asarray(cloud.xyzs().T, np.float64)
+    try:
+        return find_target(
+            read_task(f"take the {words}"),
+            points - [0.0, 0.0, table_height],
+            np.asarray(cloud.normals().T, np.float64),
+            np.asarray(cloud.rgbs().T, np.uint8),
+            image,
+        )
+    except NoChoice:
+        return Target(np.ones(len(points), bool), "All things, as none is known to be meant")
 
 
 def _looks_of(points: Array, things: list[Mask]) -> str:

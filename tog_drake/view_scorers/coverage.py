@@ -14,11 +14,10 @@ from pydrake.perception import PointCloud
 from scipy.spatial import cKDTree
 
 from tog_drake.cloud import CloudConfig, scene_cloud
-from tog_drake.errors import NoChoice, NoGrasp
+from tog_drake.errors import NoGrasp
 from tog_drake.pinhole import project
 from tog_drake.points import clusters, neighbors
-from tog_drake.selectors.targets import find_target
-from tog_drake.task import read_task
+from tog_drake.selectors.targets import target_or_all
 from tog_drake.values import Array, CameraView, Candidates, View, Workspace
 from tog_drake.view_selection import Scores
 from tog_drake.visibility import shown_in, visible
@@ -64,8 +63,9 @@ class CoverageScorer:
     ) -> Scores:
         """Returns the score of each view; 0 for one that sees nothing of the target."""
         points = np.asarray(cloud.xyzs().T, np.float64)
-        mask, how = self._target(points, cloud, views[0].view, target)
-        surface = self._grown(points, mask, views)
+        image, table_height = views[0].view.rgb, self._workspace.table_height
+        meant = target_or_all(cloud, target, image, table_height)
+        surface = self._grown(points, meant.mask, views)
         grasps = candidates.grasps.take(candidates.index)
         sees = [visible(surface, v.view) for v in views]
         share = np.array([s.mean() for s in sees])
@@ -78,21 +78,7 @@ class CoverageScorer:
             "candidates"
             for i in dict.fromkeys([int(np.argmax(values)), 0])
         ]
-        return Scores(tuple(values.tolist()), f"{how}; {', '.join(compared)}.")
-
-    def _target(self, points: Array, cloud: PointCloud, own: View, target: str) -> tuple[Mask, str]:
-        """The points (N,) of the thing that is meant, or of all things; and how it was told."""
-        try:
-            found = find_target(
-                read_task(f"take the {target}"),
-                points - [0.0, 0.0, self._workspace.table_height],
-                np.asarray(cloud.normals().T, np.float64),
-                np.asarray(cloud.rgbs().T, np.uint8),
-                own.rgb,
-            )
-        except NoChoice:
-            return np.ones(len(points), bool), "All things, as none is known to be meant"
-        return found.mask, found.how
+        return Scores(tuple(values.tolist()), f"{meant.how}; {', '.join(compared)}.")
 
     def _grown(self, points: Array, mask: Mask, views: Sequence[CameraView]) -> Array:
         """What all views together see of the target, (M, 3) [m] about evenly spaced in W.
