@@ -36,7 +36,9 @@ SCENARIOS = [
     *("ToyElephant", "Umbrella", "Whisk"),
 ]
 OBJECTS = [name.lower() for name in SCENARIOS]
-STAGES = ["render", "cloud", "propose", "filter", "candidates", "select", "plan"]
+STAGES = [
+    "render", "cloud", "propose", "filter", "candidates", "choose_view", "select", "plan"
+]  # fmt: skip
 
 
 def _hammer_at(x, name="hammer"):

@@ -20,7 +20,7 @@ from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.request import QuestionPending
 from tog_drake.values import CameraView, Choice, SelectedView
 from tog_drake.view_scorers.vlm_compare import VlmCompare, VlmCompareScorer
-from tog_drake.vlm_record import exchange_records
+from tog_drake.vlm_record import exchanges_of
 
 SCENE = bar_scene()
 TASK = 'use the "hammer"'
@@ -187,11 +187,11 @@ def test_what_was_asked_of_the_views_is_in_the_record_before_what_was_asked_of_t
     said = replace(asked[0], prompt="gsi/1")
     choice = replace(Choice.none(), exchanges=(said,))
     chosen = Decision(selected_view=selected, choice=choice)
-    assert [e["prompt"] for e in exchange_records(chosen)] == ["view/1", "gsi/1"]
+    assert [e.prompt for e in exchanges_of(chosen)] == ["view/1", "gsi/1"]
     no_choice = Decision(selected_view=selected, error=NoChoice("", exchanges=(said,)))
-    assert [e["prompt"] for e in exchange_records(no_choice)] == ["view/1", "gsi/1"]
+    assert [e.prompt for e in exchanges_of(no_choice)] == ["view/1", "gsi/1"]
     no_view = Decision(error=NoView("", exchanges=asked))
-    assert [e["prompt"] for e in exchange_records(no_view)] == ["view/1"]
+    assert [e.prompt for e in exchanges_of(no_view)] == ["view/1"]
 
 
 def test_a_scenario_names_the_model_by_tags():
