@@ -9,7 +9,14 @@ from rich.console import Console
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm
-from tog_drake.terminal import deciding, print_answers, print_stages, print_weights, say
+from tog_drake.terminal import (
+    deciding,
+    print_answers,
+    print_looks,
+    print_stages,
+    print_weights,
+    say,
+)
 
 
 def printed(record):
@@ -66,6 +73,7 @@ def test_what_became_of_the_question_is_not_taken_for_the_outcome(asked, line):
     choice = {"part": None, "index": 7, "reason": "So it is.", "status": "rejected"}
     record = {
         "task": "lift it", "proposer": {"kind": "antipodal"}, "counts": {}, "seconds": {},
+        "attempts": [{"looks": []}],
         "view_selection": None,
         "alignment": None,
         "choice": choice, "held": {},
@@ -116,3 +124,16 @@ def test_the_weights_of_a_network_are_named_and_what_they_are_worth():
     (line,) = out.getvalue().splitlines()
     assert line.startswith("weights: ") and line.endswith(".pt, not the released checkpoint")
     assert "\x1b" not in line
+
+
+def test_every_further_look_is_a_line_and_so_is_why_there_was_no_other():
+    X_WC = [[1, 0, 0, 0.5], [0, 1, 0, -0.25], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+    looks = [
+        {"X_WC": X_WC, "duration": 1.9, "reason": "About 12% of it is shown."},
+        {"X_WC": None, "duration": None, "reason": "No further look would add more than 15%."},
+    ]
+    out = StringIO()
+    print_looks(Console(file=out, width=80), {"attempts": [{"looks": looks}]})
+    first, second = out.getvalue().splitlines()
+    assert first.startswith("looked again from (0.50, -0.25, 0.30) m, 1.9 s away: About 12%")
+    assert second == "No further look would add more than 15%."
