@@ -6,6 +6,7 @@ import json
 
 import cv2
 import numpy as np
+import pytest
 from vlm_server import VlmServer
 
 from tog_drake.benchmark.cells import make_cells
@@ -14,6 +15,7 @@ from tog_drake.benchmark.episodes import EpisodeWork
 from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.processes import Broken
 from tog_drake.benchmark.suite import load_suite
+from tog_drake.errors import InputError
 from tog_drake.judge import Judge
 from tog_drake.record import OUTCOMES, EpisodeRecord
 
@@ -46,6 +48,12 @@ def test_an_episode_that_serves_two_tasks_is_two_lines_and_leaves_what_shows_it(
         assert len(grasps["candidates"]) == 3
         assert int(grasps["chosen"]) in grasps["candidates"]
     assert b"<html" in gzip.decompress(result.files["replay.html.gz"])[:500].lower()
+
+
+def test_views_to_compare_where_there_is_one_camera_are_refused_before_anything_runs(tmp_path):
+    (cell,) = make_cells(load_suite("Hammer"), [Method("top-score", view="coverage")], [0])
+    with pytest.raises(InputError, match=r"has one camera, wrist; valid: .* --side-cameras"):
+        EpisodeWork(tmp_path).configured(cell)
 
 
 def test_a_broken_episode_has_a_whole_record_and_its_traceback_in_a_file(tmp_path):

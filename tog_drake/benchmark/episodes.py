@@ -21,7 +21,7 @@ from tog_drake.episode import Episode, enter_compliance, run_episode
 from tog_drake.errors import InputError
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
-from tog_drake.pipeline import Decision
+from tog_drake.pipeline import Decision, used_cameras
 from tog_drake.record import EpisodeRecord, new_record
 from tog_drake.scenario import Scenario
 from tog_drake.selectors.vlm.dialogue import all_exchanges
@@ -52,6 +52,7 @@ class EpisodeWork:
         """
         scenario = cell_scenario(cell)
         cell.method.apply(scenario.pipeline, self.options, self.checkpoint)
+        used_cameras(scenario.pipeline, scenario.cameras)
         return scenario
 
     def others(self, cell: Cell) -> list[str]:
