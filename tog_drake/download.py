@@ -6,7 +6,6 @@ each later use asks whether it is still that.
 """
 
 import fcntl
-import hashlib
 import json
 import os
 import re
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tog_drake.errors import InputError
-from tog_drake.files import write_atomically
+from tog_drake.files import file_sha256, write_atomically
 from tog_drake.http_stream import Again, ask
 from tog_drake.visible_text import quoted
 
@@ -114,7 +113,7 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 
 def _verified(file: Path, recorded: str) -> str:
-    if _sha256(file) != recorded:
+    if file_sha256(file) != recorded:
         raise InputError(
             f"{file} is no longer what was downloaded (its SHA-256 is another): --force downloads "
             "it again"
@@ -122,17 +121,9 @@ def _verified(file: Path, recorded: str) -> str:
     return recorded
 
 
-def _sha256(file: Path) -> str:
-    digest = hashlib.sha256()
-    with file.open("rb") as content:
-        while chunk := content.read(2**20):
-            digest.update(chunk)
-    return digest.hexdigest()
-
-
 def _keep(part: Path, file: Path) -> str:
     """Gives a complete file its name. A file without a record counts as none, at every moment."""
-    digest = _sha256(part)
+    digest = file_sha256(part)
     _beside(file, ".sha256").unlink(missing_ok=True)
     part.replace(file)
     write_atomically(_beside(file, ".sha256"), f"{digest}  {file.name}\n")

@@ -1,6 +1,7 @@
 """Writing a file so that nobody ever sees half of it, asking beforehand whether one can, and
-reading one that a person wrote."""
+reading one that a person wrote, or telling it from others."""
 
+import hashlib
 import os
 import secrets
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 from tog_drake.errors import InputError
 
 MAX_YAML_BYTES = 1_000_000
+_PIECE = 1 << 20  # [byte] that are read at a time
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
@@ -78,3 +80,12 @@ def read_yaml(file: Path) -> Any:
         raise InputError("it is nested too deeply") from error
     except (OSError, yaml.YAMLError, ValueError) as error:  # of its bytes, or a date such as 0-0-0
         raise InputError(str(error)) from error
+
+
+def file_sha256(path: Path) -> str:
+    """Returns the SHA-256 of a file's content, in hexadecimal. Raises OSError."""
+    total = hashlib.sha256()
+    with path.open("rb") as content:
+        while piece := content.read(_PIECE):
+            total.update(piece)
+    return total.hexdigest()

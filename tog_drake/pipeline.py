@@ -3,6 +3,7 @@
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -197,15 +198,12 @@ class GraspPipeline(Diagram):
         self.proposer = make_proposer(config, seed)
         # The looks of an active one make the cloud together, with one camera or several.
         cloud = replace(config.cloud, fuse=config.cloud.fuse or active is not None)
+        robot_spheres = partial(_spheres, planning_model)
         stages: dict[str, LeafSystem] = {
             "camera": Camera(
                 {name: cameras[name] for name in self.cameras}, looks_again=active is not None
             ),
-            "cloud": SceneCloud(
-                cloud,
-                config.workspace,
-                robot_spheres=lambda q: _spheres(planning_model, q),
-            ),
+            "cloud": SceneCloud(cloud, config.workspace, robot_spheres=robot_spheres),
             "proposer": GraspProposer(self.proposer),
             "feasibility": FeasibilityFilter(
                 config.feasibility, config.workspace, planning_model, fused=cloud.fuse
@@ -221,9 +219,7 @@ class GraspPipeline(Diagram):
             "executor": self.executor,
         }
         if config.cloud.fuse:
-            stages["aligner"] = Aligner(
-                config.workspace, robot_spheres=lambda q: _spheres(planning_model, q)
-            )
+            stages["aligner"] = Aligner(config.workspace, robot_spheres)
         if active is not None:
             stages["look_planner"] = _make_look_planner(config, active, planning_model, seed)
         self._stages = list(stages.values())

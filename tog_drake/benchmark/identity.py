@@ -16,6 +16,7 @@ from tog_drake.benchmark.journal import SCHEMA
 from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.suite import Suite
 from tog_drake.errors import InputError
+from tog_drake.files import file_sha256
 from tog_drake.object_parts import labels_file
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, checkpoint_file
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 _OF_MODEL = {".sdf", ".urdf", ".obj", ".mtl", ".gltf", ".glb", ".bin", ".stl", ".png", ".jpg"}
 _PREVIEW = "preview.png"
 _ASKED = ("profile", "rendering", "votes", "fallback", "replay", "deadline")
-_PIECE = 1 << 20  # [byte] that are read at a time
 
 
 def run_config(
@@ -139,11 +139,7 @@ def _hash(model: Path) -> str:
 
 
 def _sha256(file: Path) -> str:
-    total = hashlib.sha256()
     try:
-        with file.open("rb") as opened:
-            while piece := opened.read(_PIECE):
-                total.update(piece)
+        return file_sha256(file)
     except OSError as error:
         raise InputError(f"{file} cannot be read: {error.strerror}") from error
-    return total.hexdigest()
