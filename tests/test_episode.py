@@ -9,10 +9,10 @@ from tiny_meshes import write_box_obj
 
 from tog_drake import episode
 from tog_drake.assets.importing import ImportOptions, import_mesh
+from tog_drake.decision import decide
 from tog_drake.episode import run_episode
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.judge import complies
-from tog_drake.pipeline import decide
 from tog_drake.record import OUTCOMES, SCHEMA
 from tog_drake.scenario import load_scenario
 from tog_drake.visualization import make_meshcat

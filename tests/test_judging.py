@@ -9,8 +9,8 @@ from test_vlm_selector import cloud_of, saying
 from vlm_server import KEY, Spoken
 
 from tog_drake.benchmark.judging import VlmJudge, grasp_pictures, vlm_judge
+from tog_drake.decision import Decision
 from tog_drake.errors import InputError
-from tog_drake.pipeline import Decision
 from tog_drake.values import Choice, GraspMotion
 
 SCENE = bar_scene(n=9)

@@ -5,8 +5,9 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 import tog_drake.pipeline
+from tog_drake.decision import STAGES, decide
 from tog_drake.errors import InputError
-from tog_drake.pipeline import STAGES, PipelineConfig, decide, make_selector
+from tog_drake.pipeline import PipelineConfig, make_selector
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.oracle import Oracle
 from tog_drake.world import build_world

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from pydrake.perception import PointCloud
 
+from tog_drake.decision import Decision
 from tog_drake.errors import NoChoice, NoFeasibleGrasp, NoGrasp, NoPlan, NoView
-from tog_drake.pipeline import Decision, PipelineConfig, Random, TopScore
+from tog_drake.pipeline import PipelineConfig, Random, TopScore
 from tog_drake.record import (
     OUTCOMES,
     SCHEMA,

@@ -22,9 +22,10 @@ from tabletop import RED, TABLE, look
 
 from tog_drake import http_post
 from tog_drake.cloud import CloudConfig, scene_cloud
+from tog_drake.decision import Decision
 from tog_drake.errors import InputError, NoGrasp, NoProposal
 from tog_drake.grasp_check import check_grasps, turned
-from tog_drake.pipeline import Decision, PipelineConfig
+from tog_drake.pipeline import PipelineConfig
 from tog_drake.proposers import propose_protocol, serving
 from tog_drake.proposers.answered import Answerer, answerer_of
 from tog_drake.proposers.antipodal import Antipodal, AntipodalProposer

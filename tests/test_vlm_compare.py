@@ -10,8 +10,9 @@ from test_strategies import bar_scene
 from test_vlm_selector import cloud_of, saying
 from vlm_server import KEY, VlmServer, hang
 
+from tog_drake.decision import Decision
 from tog_drake.errors import InputError, NoChoice, NoView
-from tog_drake.pipeline import Decision, make_view_scorer
+from tog_drake.pipeline import make_view_scorer
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import CANVASES, TILE

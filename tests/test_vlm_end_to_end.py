@@ -15,9 +15,9 @@ from pydrake.perception import PointCloud
 from seeing_server import FAMILIES, see_and_answer
 from vlm_server import KEY, KEY_VARIABLES, VlmServer, hang, says
 
+from tog_drake.decision import decide
 from tog_drake.errors import NoChoice
 from tog_drake.judge import COMPLIANT_SHARE
-from tog_drake.pipeline import decide
 from tog_drake.record import new_record
 from tog_drake.scenario import load_scenario
 from tog_drake.selectors.strategies import STRATEGIES

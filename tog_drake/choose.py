@@ -9,10 +9,11 @@ import numpy as np
 
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
+from tog_drake.decision import Decision
 from tog_drake.errors import EpisodeError, InputError, NoFeasibleGrasp, NoGrasp
 from tog_drake.panda import arrival_opening
 from tog_drake.pinhole import project
-from tog_drake.pipeline import Decision, PipelineConfig, make_proposer, make_selector
+from tog_drake.pipeline import PipelineConfig, make_proposer, make_selector
 from tog_drake.proposer import weights_of
 from tog_drake.table import find_table
 from tog_drake.task import read_task

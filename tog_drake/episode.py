@@ -9,11 +9,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from tog_drake.cameras import noise_of
+from tog_drake.decision import Decision, decide
 from tog_drake.errors import InputError, NoFeasibleGrasp
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
 from tog_drake.look_planning import Once
-from tog_drake.pipeline import Decision, decide
 from tog_drake.record import (
     AttemptRecord,
     EpisodeRecord,

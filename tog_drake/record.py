@@ -7,9 +7,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypedDict
 
+from tog_drake.decision import STAGES, Decision
 from tog_drake.errors import NoFeasibleGrasp
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import PROPOSERS, SCORERS, SELECTORS, STAGES, Decision, PipelineConfig
+from tog_drake.pipeline import PROPOSERS, SCORERS, SELECTORS, PipelineConfig
 from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm

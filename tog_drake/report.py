@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tog_drake.decision import STAGES
 from tog_drake.drawing import HOLE_COLOR, depth_image, depth_range, encode_png
 from tog_drake.files import write_atomically
 from tog_drake.pages import page_environment
-from tog_drake.pipeline import STAGES
 from tog_drake.record import ChoiceRecord, EpisodeRecord, proposer_name, usage
 from tog_drake.values import Exchange, GraspMotion, View
 from tog_drake.visible_text import visible

@@ -25,9 +25,10 @@ from pydrake.common.yaml import yaml_dump_typed
 from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.systems.framework import Context
 
+from tog_drake.decision import Decision, Look, decide
 from tog_drake.files import write_atomically
 from tog_drake.judge import Verdict
-from tog_drake.pipeline import Decision, GraspPipeline, Look, PipelineConfig, decide
+from tog_drake.pipeline import GraspPipeline, PipelineConfig
 from tog_drake.proposer import Proposer, weights_of
 from tog_drake.proposers.antipodal import AntipodalProposer
 from tog_drake.resources import resource_dir

@@ -7,10 +7,10 @@ from pydrake.geometry import Meshcat
 from rich.console import Console
 
 from tog_drake.contact_sheet import contact_sheet
+from tog_drake.decision import Decision
 from tog_drake.drawing import Image, decision_image, encode_png
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
-from tog_drake.pipeline import Decision
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Any, TypedDict
 
+from tog_drake.decision import Decision
 from tog_drake.errors import NoChoice, NoView
-from tog_drake.pipeline import Decision
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import Exchange

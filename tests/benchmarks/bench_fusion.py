@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from tog_drake.assets.library import asset_names
 from tog_drake.benchmark.suite import SCENARIO, load_suite
 from tog_drake.cameras import with_noise
+from tog_drake.decision import decide
 from tog_drake.episode import run_episode
-from tog_drake.pipeline import decide
 from tog_drake.scenario import load_scenario, with_side_cameras
 from tog_drake.selectors.baselines import TopScore
 from tog_drake.world import build_world, look

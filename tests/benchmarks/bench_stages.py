@@ -11,9 +11,10 @@ from pydrake.systems.analysis import Simulator
 
 from tog_drake.candidates import pick_candidates
 from tog_drake.cloud import scene_cloud
+from tog_drake.decision import decide
 from tog_drake.feasibility import feasible_grasps
 from tog_drake.panda import MAX_OPENING
-from tog_drake.pipeline import decide, make_proposer, make_selector
+from tog_drake.pipeline import make_proposer, make_selector
 from tog_drake.scenario import LOOK_POSTURE, load_scenario
 from tog_drake.trajectory import plan_motion
 from tog_drake.world import build_world

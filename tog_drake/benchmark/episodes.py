@@ -16,12 +16,13 @@ from tog_drake.benchmark.journal import JudgeRecord, Line, Result
 from tog_drake.benchmark.judging import grasp_pictures, vlm_judge
 from tog_drake.benchmark.processes import Broken, broken_by
 from tog_drake.benchmark.suite import Trial
+from tog_drake.decision import Decision
 from tog_drake.drawing import decision_image, encode_jpg, encode_png
 from tog_drake.episode import Episode, enter_compliance, run_episode
 from tog_drake.errors import InputError
 from tog_drake.object_parts import ObjectParts
 from tog_drake.options import SelectorOptions
-from tog_drake.pipeline import Decision, used_cameras
+from tog_drake.pipeline import used_cameras
 from tog_drake.record import EpisodeRecord, new_record
 from tog_drake.scenario import Scenario
 from tog_drake.selectors.vlm.dialogue import all_exchanges

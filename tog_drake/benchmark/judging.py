@@ -11,9 +11,9 @@ from functools import cache
 import numpy as np
 
 from tog_drake.benchmark.journal import JudgeRecord
+from tog_drake.decision import Decision
 from tog_drake.drawing import Image
 from tog_drake.errors import InputError, Unanswered
-from tog_drake.pipeline import Decision
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import Mark, draw_grippers, frame_things, plain
 from tog_drake.selectors.vlm.client import Client
