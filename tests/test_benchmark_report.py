@@ -147,6 +147,27 @@ def test_no_cell_of_the_csv_is_a_formula_and_each_row_is_whole():
     assert "\u202e" not in csv_text({"r": lines})
 
 
+def test_what_was_in_view_stands_in_every_file(tmp_path):
+    selections = {
+        "hand": {"camera": "wrist", "candidates_visible": {"wrist": 2}},
+        "coverage": {"camera": "side_1", "candidates_visible": {"wrist": 2, "side_1": 5}},
+    }
+    lines = [
+        make_line(i, method=f"oracle, view: {view}", view=view, view_selection=selection)
+        for i, (view, selection) in enumerate(selections.items())
+    ]
+    page = page_of(run_of(tmp_path, lines))
+    rows = list(csv.DictReader((page.parent / "tables.csv").open()))
+    assert {
+        (row["method"], row["candidates"], row["hand_shows"], row["shows"], row["other_view"])
+        for row in rows
+    } == {("oracle, view: hand", "6.0", "2.0", "2.0", "0"),
+          ("oracle, view: coverage", "6.0", "2.0", "5.0", "1")}  # fmt: skip
+    title = "The hand's view and the least ambiguous one"
+    for name in (page.name, "tables.md", "tables.tex"):
+        assert title in html.unescape((page.parent / name).read_text()), name
+
+
 def test_markdown_and_latex_show_whatever_there_is_as_text():
     sheet = make_sheet("x", "A & B", ("n_1", "%"), [(NASTY, Share(0.5, 0.1, 0.9)), ("1", None)])
     assert "\n| \\=1" not in markdown_text({"r": [sheet]})

@@ -22,6 +22,7 @@ from tog_drake.benchmark.journal import (
 )
 from tog_drake.benchmark.report import command
 from tog_drake.benchmark.success_sheets import success_sheets
+from tog_drake.benchmark.view_sheets import view_sheets
 from tog_drake.errors import InputError
 
 CONFIG = {"schema": SCHEMA, "suite": "builtin", "seeds": 2, "objects": {"hammer": "ab"}}
@@ -220,8 +221,11 @@ LINES = [
         k="auto",
         vlm="openai:m",
         strategy="cpg",
+        view="coverage",
+        view_selection={"camera": "side", "candidates_visible": {"wrist": 2, "side": 5}},
     ),
     make_line(1, "no_choice", complies=False, k="3", choice=None, motion=None, closes_on=None),
+    make_line(2, k="auto", vlm="openai:m", strategy="cpg", view="hand", method="other"),
 ]
 ANY = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=9),
@@ -243,7 +247,8 @@ PLACES = [(n, path) for n, line in enumerate(LINES) for path in places(line) if 
 
 def shown(run):
     """All that is made of a run."""
-    return success_sheets(run.lines), detail_sheets(run.lines), cards(run, Pictures(), Replays())
+    sheets = success_sheets(run.lines), view_sheets(run.lines), detail_sheets(run.lines)
+    return *sheets, cards(run, Pictures(), Replays())
 
 
 @given(place=st.sampled_from(PLACES), value=ANY, left_out=st.booleans())
@@ -273,7 +278,8 @@ def test_whatever_stands_in_a_line_is_shown_or_refused_with_file_and_line(
 def test_the_lines_of_which_others_are_made_here_are_whole(tmp_path):
     run = read_run(write_run(tmp_path, LINES))
     assert run.lines == LINES
-    assert len(shown(run)[2]) == 2
+    *_, (views,), _, episodes = shown(run)
+    assert (len(views.rows), len(episodes)) == (4, 3)
 
 
 @given(

@@ -14,7 +14,9 @@ from tog_drake.benchmark.tables import (
     methods_of,
     paired_rows,
     success_rows,
+    view_rows,
 )
+from tog_drake.benchmark.view_sheets import view_sheets
 from tog_drake.record import chosen_region
 
 
@@ -273,6 +275,78 @@ def test_the_parts_of_a_run_come_back_in_its_order():
     assert in_table_order(lines[::-1]) == lines
 
 
+def viewed(number, view, outcome="lifted", *, camera="wrist", visible=None, **changes):
+    """A line of an episode with six candidates; the hand's camera is the first of ``visible``."""
+    selection = {"camera": camera, "candidates_visible": visible or {"wrist": 6}}
+    changes = {"method": f"vlm cpg m, view: {view}", "selector": "vlm", "strategy": "cpg",
+               "vlm": "m", "view_selection": selection, "seed": number % 10} | changes  # fmt: skip
+    return make_line(number, outcome, view=view, **changes)
+
+
+def two_views():
+    """Three trials in the hand's view and in that of coverage, which solves one more."""
+    side = {"camera": "side_2", "visible": {"wrist": 2, "side_1": 3, "side_2": 5}}
+    return [
+        viewed(0, "hand", visible={"wrist": 2}),
+        viewed(1, "hand", "slipped", visible={"wrist": 2}),
+        viewed(2, "hand"),
+        viewed(10, "coverage", **side),
+        viewed(11, "coverage", **side),
+        viewed(12, "coverage", visible={"wrist": 6, "side_1": 1}),
+    ]
+
+
+def test_the_hands_view_and_another_are_compared_on_the_same_trials():
+    hand, other = view_rows(two_views()[::-1])
+    assert (hand["view"], other["view"]) == ("hand", "coverage")
+    assert hand["base"] == other["base"] == "vlm cpg m"
+    assert (hand["both_successes"], other["both_successes"], hand["pairs"]) == (2, 3, {})
+    pair = other["pairs"]["both"]
+    assert (pair["n"], pair["only_first"], pair["only_second"], pair["p"]) == (3, 0, 1, 1.0)
+    assert (hand["shows"], hand["other_view"], hand["views_n"]) == (pytest.approx(10 / 3), 0, 3)
+    assert (other["candidates"], other["hand_shows"]) == (6, pytest.approx(10 / 3))
+    assert (other["shows"], other["other_view"]) == (pytest.approx(16 / 3), 2)
+
+
+def test_views_are_compared_only_with_the_hands_and_where_nothing_else_differs():
+    lines = two_views()
+    assert view_rows(lines[:3]) == view_rows(lines[3:]) == []
+    of_another_k = [viewed(20 + i, "hand", k="2", method="vlm cpg m, K=2") for i in range(3)]
+    assert view_rows(of_another_k + lines[3:]) == []
+    assert [row["base"] for row in view_rows(of_another_k + lines)] == ["vlm cpg m"] * 2
+    assert view_rows([make_line(0), make_line(1, seed=1)]) == []
+
+
+def test_an_episode_without_candidates_and_an_old_record_say_nothing_of_what_was_in_view():
+    lines = [
+        viewed(0, "hand", "no_grasp", view_selection=None),
+        viewed(1, "hand", counts={"proposed": 9, "candidates": 0}, visible={"wrist": 0}),
+        viewed(2, "hand", visible={"side_1": 4}),  # no record of ours: the chosen is not among them
+        make_line(3),
+    ]
+    for row in success_rows(lines):
+        assert (row["shows"], row["hand_shows"], row["candidates"]) == (None, None, None)
+        assert row["views_n"] == 0
+
+
+def test_the_table_of_views_stands_beside_what_the_paper_published():
+    (sheet,) = view_sheets(two_views())
+    rows = [dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows]
+    hand, other, published, chosen = rows
+    assert str(other["Grasp"]) == "1.000 [0.44, 1.00]"
+    assert other["Grasp ±"] == "+0.333, p 1.000 (0 : 1 of 3)"
+    assert hand["Grasp ±"] is None
+    shown = [other[name] for name in ("Candidates", "In hand's view", "In chosen view")]
+    assert shown == ["6.00", "3.33", "5.33"]
+    assert (hand["Other view"], other["Other view"]) == ("0 of 3", "2 of 3")
+    assert (published["View"], published["Task, as held"].value) == ("hand", 0.778)
+    assert (chosen["View"], chosen["Task, as held"].of) == ("detector", "45/54")
+    assert (chosen["Task, as held ±"], chosen["Grasp and task ±"]) == ("+0.055", "+0.074")
+    assert chosen["Grasp"] is chosen["Grasp ±"] is None  # not published
+    assert sheet.published == 2
+    assert view_sheets(two_views()[:3]) == []
+
+
 LINES = st.lists(
     st.builds(
         make_line,
@@ -281,6 +355,7 @@ LINES = st.lists(
         complies=st.booleans(),
         method=st.sampled_from(["a", "b"]),
         k=st.sampled_from([None, "2", "auto"]),
+        view=st.sampled_from([None, "hand", "coverage"]),
         category=st.sampled_from(["use", "choose"]),
         task=st.sampled_from(["x", "y"]),
     ),
@@ -292,8 +367,8 @@ LINES = st.lists(
 @given(LINES, st.randoms(use_true_random=False))
 def test_no_table_depends_on_the_order_in_which_episodes_ended(lines, order):
     shuffled = random.Random(order.random()).sample(lines, len(lines))
-    for table in (success_rows, paired_rows, candidate_rows, failure_rows, rejection_rows,
-                  motion_rows, cost_rows, fingers_and_pads):  # fmt: skip
+    for table in (success_rows, paired_rows, candidate_rows, view_rows, failure_rows,
+                  rejection_rows, motion_rows, cost_rows, fingers_and_pads):  # fmt: skip
         assert table(shuffled) == table(lines)
 
 

@@ -212,12 +212,13 @@ def _parallel(workers: str) -> "tuple[Parallel, int]":
 def _print_successes(console: "Console", lines: "Sequence[Line]") -> "dict[str, Any]":
     """Prints who proposed and the tables of what came of it; returns them for a program."""
     from tog_drake.benchmark.failures import failure_rows, fingers_and_pads
-    from tog_drake.benchmark.tables import paired_rows, success_rows
+    from tog_drake.benchmark.tables import paired_rows, success_rows, view_rows
     from tog_drake.selectors.oracle import ORACLE_NOTE
 
     found: dict[str, Any] = {
         "rows": success_rows(lines),
         "pairs": paired_rows(lines),
+        "views": view_rows(lines),
         "failures": failure_rows(lines),
         "fingers_and_pads": fingers_and_pads(lines),
     }

@@ -81,6 +81,7 @@ _RECORD = {
     "proposer": {"kind": str},
     "counts": {"proposed": int | None, "candidates": int | None},
     "rejected": Each(dict, int),
+    "view_selection": Later(Maybe({"camera": str, "candidates_visible": Each(dict, int)})),
     "choice": Maybe({"index": int, "planned_index": int | None, "part": str | None, "reason": str}),
     "vlm": Maybe({"status": str | None, "fallback": str | None}),
     "attempts": Each(list, {"exchanges": Each(list, _EXCHANGE)}),

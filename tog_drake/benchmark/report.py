@@ -19,6 +19,7 @@ from tog_drake.benchmark.sheets import Sheet, shown
 from tog_drake.benchmark.success_sheets import scene_sheet, success_sheets
 from tog_drake.benchmark.table_files import csv_text, latex_text, markdown_text
 from tog_drake.benchmark.tables import in_table_order, methods_of, runs_of
+from tog_drake.benchmark.view_sheets import view_sheets
 from tog_drake.files import write_atomically
 from tog_drake.pages import page_environment
 from tog_drake.visible_text import visible
@@ -67,7 +68,8 @@ def _names(runs: Sequence[Run]) -> list[str]:
 
 
 def _sheets(run: Run) -> list[Sheet]:
-    return success_sheets(run.lines) + detail_sheets(run.lines, labels_of(run))
+    views = view_sheets(run.lines)
+    return success_sheets(run.lines) + views + detail_sheets(run.lines, labels_of(run))
 
 
 def _page(

@@ -59,7 +59,7 @@ def main_sheet(lines: Sequence["Line"]) -> Sheet:
     ]
     theirs = [
         (
-            " ".join(filter(None, (row["method"], row.get("model"), "(published)"))),
+            published_name(row),
             row["trials"],
             *(published_share(row.get(rate), int(row["trials"])) for rate in RATES),
             "",
@@ -118,7 +118,7 @@ def _pairs(lines: Sequence["Line"]) -> Sheet:
         [
             (
                 *pair,
-                *(cell for rate in rates for cell in _compared(found.get(rate))),
+                *(cell for rate in rates for cell in compared(found.get(rate))),
             )
             for pair, found in of.items()
         ],
@@ -129,7 +129,8 @@ def _pairs(lines: Sequence["Line"]) -> Sheet:
     )
 
 
-def _compared(row: Mapping[str, Any] | None) -> tuple[str | None, str | None]:
+def compared(row: Mapping[str, Any] | None) -> tuple[str | None, str | None]:
+    """Returns how two methods compare, such as ("1 : 4 of 57", "0.375"), and the p-value."""
     if row is None:
         return None, None  # no such task was judged
     p = row["p"]
@@ -255,6 +256,11 @@ def paper() -> dict[str, Any]:
     """Returns what the paper published; see ``paper.yaml``."""
     content: dict[str, Any] = read_yaml(Path(__file__).with_name("paper.yaml"))
     return content
+
+
+def published_name(row: Mapping[str, Any]) -> str:
+    """Returns what one of the paper's methods is called in a table."""
+    return " ".join(filter(None, (row["method"], row.get("model"), "(published)")))
 
 
 def published_share(value: float | None, n: int) -> Share | None:

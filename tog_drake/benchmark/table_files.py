@@ -40,15 +40,17 @@ def csv_text(runs: Mapping[str, Sequence["Line"]]) -> str:
     """
     of_rate = ("", "_successes", "_n", "_low", "_high")
     counts = [f"{rate}{what}" for rate in RATES for what in of_rate]
-    columns = ["run", "by", "group", "method", "n", "tasks", *counts, "collisions", "failures"]
+    views = ["candidates", "hand_shows", "shows", "other_view", "views_n"]
+    whole = ["run", "by", "group", "method", "n", "tasks"]
+    columns = [*whole, *counts, *views, "collisions", "failures"]
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(columns)
     for name, lines in runs.items():
         for by in GROUPS:
             for row in success_rows(lines, by):
-                whole = {"run": name, "by": by, **row}
-                writer.writerow([_csv_cell(whole[column]) for column in columns])
+                cells = {"run": name, "by": by, **row}
+                writer.writerow([_csv_cell(cells[column]) for column in columns])
     return file.getvalue()
 
 

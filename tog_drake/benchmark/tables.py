@@ -30,6 +30,9 @@ RATES = {
 PAPER = ("position", "use", "handover")
 """The paper's, in its order; "all" is of these. An episode of another counts in that one alone."""
 ALL, WITHIN = "all", "all that 8 cm can hold"
+HAND = "hand"
+"""The view of the pipeline's own camera, as ``--views`` names it."""
+_OF_METHOD = ("proposer", "selector", "strategy", "vlm", "view", "k")  # fields of a cell
 GROUPS = ("category", "scenario", "object", "task")
 """By what a table of successes may be divided."""
 
@@ -55,6 +58,10 @@ def success_rows(lines: Sequence["Line"], by: str = "category") -> Rows:
     of each but ``chosen``; a task that does not say what may be held is not judged, nor is a choice
     of which an older record does not say what it closes on. ``_n`` is what a rate is a share of;
     ``_low`` and ``_high`` bound it with 95 % confidence (Wilson 1927), None of nothing judged.
+
+    What was in view is of the episodes that had candidates, as means: ``candidates``, and how many
+    of them ``hand_shows`` and the chosen view ``shows``; None where no record tells. ``other_view``
+    is in how many of the ``views_n`` episodes another view than the hand's was chosen.
 
     Args:
         lines: the episodes.
@@ -101,6 +108,7 @@ def _success_row(method: str, group: str, lines: Sequence["Line"]) -> dict[str, 
         if name == "chosen":
             of = [line for line in judged if _is_known(line)]
         row |= rate_columns(name, Rate(sum(succeeded(line, name) for line in of), len(of)))
+    row |= _view_columns(runs)
     row["collisions"] = sum(bool(line["record"]["collisions"]) for line in runs)
     row["failures"] = _failures([line["record"] for line in runs])
     return row
@@ -115,6 +123,26 @@ def rate_columns(name: str, rate: Rate) -> dict[str, Any]:
         f"{name}_n": rate.n,
         f"{name}_low": low,
         f"{name}_high": high,
+    }
+
+
+def _view_columns(runs: Iterable["Line"]) -> dict[str, Any]:
+    """What of the candidates the views showed; the hand's view is the first of a record."""
+    seen: list[tuple[int, int, int]] = []  # candidates, in the hand's view, in the chosen one
+    chosen: list[bool] = []  # whether it is another than the hand's
+    for record in (line["record"] for line in runs):
+        selection = record.get("view_selection")
+        visible = selection["candidates_visible"] if selection else {}
+        if selection and selection["camera"] in visible and record["counts"]["candidates"]:
+            hand, camera = next(iter(visible)), selection["camera"]
+            seen.append((record["counts"]["candidates"], visible[hand], visible[camera]))
+            chosen.append(camera != hand)
+    names = ("candidates", "hand_shows", "shows")
+    means = [sum(column) / len(seen) for column in zip(*seen, strict=True)] or [None] * 3
+    return {
+        **dict(zip(names, means, strict=True)),
+        "other_view": sum(chosen),
+        "views_n": len(chosen),
     }
 
 
@@ -213,12 +241,7 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
     A row has the ``base``, the method without its K; ``k``, a number or "auto"; and of "auto" how
     often it chose which K (``chosen_k``), "none" where there was nothing to choose from.
     """
-    counted = [line for line in in_table_order(lines) if line["cell"]["category"] in PAPER]
-    bases: dict[str, dict[str, list[Line]]] = {}
-    for line in counted:
-        if line["cell"]["k"] is not None:
-            by_k = bases.setdefault(_without_k(line), {})
-            by_k.setdefault(str(line["cell"]["k"]), []).append(line)
+    bases = _alike_but_for(lines, "k")
     return [
         {
             "base": base,
@@ -232,11 +255,40 @@ def candidate_rows(lines: Sequence["Line"]) -> Rows:
     ]
 
 
-def _without_k(line: "Line") -> str:
-    """What a method is but for its K; ``candidate_rows`` sets several apart by it."""
-    cell = line["cell"]
-    named = (cell["proposer"], cell["selector"], cell["strategy"], cell["vlm"], cell.get("view"))
-    return " ".join(name for name in named if name is not None)
+def view_rows(lines: Sequence["Line"]) -> Rows:
+    """Returns the rates of methods that differ in the view alone, the hand's and others.
+
+    A row has the ``base``, the method without its view; the ``view``, as ``--views`` names who
+    compares them; and in ``pairs``, of another than the hand's, by rate how the two compare on the
+    trials that both have done, as ``paired_rows`` says it of the hand's as the first.
+    """
+    rows: Rows = []
+    for base, by_view in _alike_but_for(lines, "view").items():
+        if HAND not in by_view or len(by_view) < 2:
+            continue
+        named = {view: of[0]["cell"]["method"] for view, of in by_view.items()}
+        for view in sorted(by_view, key=lambda view: view != HAND):  # stable: as in the run
+            of_two = [*by_view[HAND], *by_view[view]]
+            pairs = {
+                rate: _paired_row(of_two, named[HAND], named[view], rate)
+                for rate in ("grasp", "task", "both")
+                if view != HAND
+            }
+            row = _success_row(named[view], ALL, by_view[view])
+            rows.append({"base": base, "view": view, "pairs": pairs, **row})
+    return rows
+
+
+def _alike_but_for(lines: Iterable["Line"], field: str) -> dict[str, dict[str, list["Line"]]]:
+    """The paper's lines by what a method is but for one field of the cell, and by that field."""
+    alike: dict[str, dict[str, list[Line]]] = {}
+    for line in in_table_order(lines):
+        cell: Mapping[str, Any] = line["cell"]
+        if cell["category"] in PAPER and cell.get(field) is not None:
+            named = {name: cell.get(name) for name in _OF_METHOD if name != field}
+            words = [f"K={said}" if name == "k" else said for name, said in named.items() if said]
+            alike.setdefault(" ".join(words), {}).setdefault(str(cell[field]), []).append(line)
+    return alike
 
 
 def _chosen_k(lines: Sequence["Line"]) -> dict[str, int]:
