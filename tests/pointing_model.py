@@ -15,7 +15,7 @@ from seeing_server import FAMILIES, Image, Mask, point_out
 
 _LEAST = 60  # [pixel] of a colour make a thing
 _HANDLE = 0.06  # of the cup's area: a smaller bulge at its rim is not known for a handle
-_BODY = 4.0  # times the cap's area: less, around a cap, is not known for a bottle's body
+_BODY = 2.5  # times the cap's area: less, around a cap, is not known for a bottle's body
 
 
 def point_and_answer(text: str, images: Sequence[Image], family: str = "pixels") -> str:
