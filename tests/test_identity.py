@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from command import refused, tog
 
 from tog_drake.benchmark.cells import make_cells
 from tog_drake.benchmark.episodes import EpisodeWork
@@ -14,6 +15,8 @@ from tog_drake.benchmark.suite import load_suite
 from tog_drake.errors import InputError
 from tog_drake.options import SelectorOptions
 from tog_drake.sharing import program_digest
+from tog_drake.view_options import ViewOptions
+from tog_drake.view_scorers import detector
 from tog_drake.weights import CONTACT_GRASPNET
 
 GRASPS = {
@@ -25,10 +28,10 @@ GRASPS = {
 MODEL = "openai:any@http://127.0.0.1:9/v1"
 
 
-def config_of(tmp_path, method=None, text=None, **work):
+def config_of(tmp_path, method=None, text=None, views=None, **work):
     suite = load_suite("Mug", text)
     methods = [method or Method("top-score")]
-    cells = make_cells(suite, methods, [0], text=text)
+    cells = make_cells(suite, methods, [0], text=text, views=views)
     return run_config(suite, methods, cells, EpisodeWork(tmp_path, **work), seeds=1)
 
 
@@ -59,11 +62,32 @@ def cassette(folder, monkeypatch):
     return folder / "tape.jsonl", {"method": Method("vlm", vlm=MODEL), "options": options}
 
 
-@pytest.mark.parametrize("kind", [weights, proposals, cassette])
+def compared(scorer):
+    """What asks for the views of five cameras, compared by this scorer."""
+    text = f"pipeline: {{view_selection: {{scorer: {scorer}}}}}"
+    return {"text": text, "views": ViewOptions(side_cameras=True)}
+
+
+def compared_cassette(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder / "compare.jsonl", compared("!VlmCompare {replay: compare.jsonl}")
+
+
+def detector_weights(folder, monkeypatch):
+    pytest.importorskip("transformers")
+    for name in ("config.json", "vocab.json", "merges.txt", "pytorch_model.bin", "README.md"):
+        (folder / name).write_text("")
+    return folder / "model.safetensors", compared(f"!Detector {{model: {folder}}}")
+
+
+KINDS = [weights, proposals, cassette, compared_cassette, detector_weights]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_another_content_of_a_file_that_decides_is_another_run(tmp_path, monkeypatch, kind):
     file, asked = kind(tmp_path, monkeypatch)
     contents = [json.dumps(GRASPS), json.dumps({**GRASPS, "scores": [0.5]})]
-    if kind is cassette:
+    if kind in (cassette, compared_cassette):
         contents = ["", "\n"]
     file.write_text(contents[0])
     was = config_of(tmp_path, **asked)
@@ -80,6 +104,29 @@ def test_weights_that_are_not_there_are_told_before_anything_runs(tmp_path, monk
     with pytest.raises(InputError, match="tog weights fetch"):
         config_of(tmp_path, **asked)
     assert not file.exists()
+
+
+def test_of_a_detector_every_file_decides_that_is_read_and_no_other(tmp_path, monkeypatch):
+    file, asked = detector_weights(tmp_path, monkeypatch)
+    file.write_text("weights")
+    named = config_of(tmp_path, **asked)["files"]
+    read = ("config.json", "merges.txt", "model.safetensors", "vocab.json")
+    assert list(named) == [f"{tmp_path}/{name}" for name in read]
+
+
+@pytest.mark.parametrize("lacks", ["transformers", "weights"])
+def test_a_detector_that_cannot_be_asked_is_told_before_anything_runs(lacks, tmp_path, monkeypatch):
+    if lacks == "transformers":
+        monkeypatch.setattr(detector, "find_spec", lambda name: None)
+        command = "pip install 'tog_drake[views]'"
+    else:
+        pytest.importorskip("transformers")
+        monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path / "empty"))
+        command = detector.download_command()
+    out = tmp_path / "run"
+    words = ("--views", "hand,detector", "--side-cameras", "--selectors", "top-score")
+    refused(tog("eval", "Mug", *words, "--seeds", 1, "--out", out), command)
+    assert not out.exists()
 
 
 def test_a_machine_says_what_it_has_other_than_where_the_run_began(tmp_path):

@@ -23,6 +23,8 @@ from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, check
 from tog_drake.proposers.file import File
 from tog_drake.scenario import Scenario, model_files, scenario_files
 from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.view_scorers.detector import Detector, detector_files
+from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.weights import CONTACT_GRASPNET
 
 if TYPE_CHECKING:
@@ -81,7 +83,7 @@ def digests(
         replayed), of the ``scenarios``, and of the ``objects``: their models and labels.
 
     Raises:
-        InputError: one of them is not there.
+        InputError: one of them is not there, or a package that is to read it.
     """
     cells = list(cells)
     files: dict[str, Path] = {}
@@ -107,16 +109,23 @@ def others(asked: Mapping[str, Any], here: Mapping[str, Mapping[str, str]]) -> l
 
 
 def _files_of(config: PipelineConfig) -> dict[str, Path]:
-    """The files that a pipeline reads beside those of the program, each as it was named."""
-    proposer, selector = config.proposer, config.selector
+    """The files that a pipeline reads beside those of the program, each as it was named.
+
+    Raises:
+        InputError: there are no weights, or what is to read them is not installed.
+    """
+    proposer, selector, scorer = config.proposer, config.selector, config.view_selection.scorer
     files: dict[str, Path] = {}
     if isinstance(proposer, ContactGraspNet):
         stored = f"weights of {CONTACT_GRASPNET.name}"
         files[proposer.checkpoint or stored] = checkpoint_file(proposer)
     if isinstance(proposer, File):
         files[proposer.path] = Path(proposer.path)
-    if isinstance(selector, Vlm) and selector.replay:
-        files[selector.replay] = Path(selector.replay)
+    if isinstance(scorer, Detector):
+        files |= {f"{scorer.model}/{file.name}": file for file in detector_files(scorer)}
+    for asks in (selector, scorer):
+        if isinstance(asks, Vlm | VlmCompare) and asks.replay:
+            files[asks.replay] = Path(asks.replay)
     return files
 
 

@@ -37,6 +37,7 @@ FAMILIES = ("owlvit", "owlv2")
 words and have other confidences."""
 _NAME = re.compile(r"(?!.*(--|\.\.))\w[\w.-]{0,60}\w/\w[\w.-]{0,60}\w", re.ASCII)
 _FILES = ("config.json", "model.safetensors")
+_READ = {".json", ".txt", ".safetensors"}  # suffixes of all that transformers reads of a detector
 
 _log = logging.getLogger(__name__)
 
@@ -67,9 +68,8 @@ class DetectorScorer:
             raise InputError(
                 f"!Detector: threshold: {config.threshold:g}; valid: from 0 to below 1"
             )
-        require_transformers()
         self._config = config
-        self._folder = find_weights(config.model, config.revision)
+        self._folder = find_detector(config)
 
     def score(
         self,
@@ -92,6 +92,22 @@ class DetectorScorer:
         # One after the other, or five views would take five times the memory of one.
         found = [network.detect(seen.view.rgb, target, threshold) for seen in views]
         return score_detections(views, found, target, self._config.model)
+
+
+def find_detector(config: Detector) -> Path:
+    """Returns the folder with the files of the detector that a config names, without loading it.
+
+    Raises:
+        InputError: transformers or torch is not installed, or there are no weights; says which
+            command gets them.
+    """
+    require_transformers()
+    return find_weights(config.model, config.revision)
+
+
+def detector_files(config: Detector) -> list[Path]:
+    """Returns all files that decide what a detector finds. Raises as ``find_detector``."""
+    return sorted(file for file in find_detector(config).iterdir() if file.suffix in _READ)
 
 
 def require_transformers() -> None:
