@@ -13,6 +13,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tog_drake.assets.library import asset_names
+from tog_drake.benchmark.statistics import Rate
 from tog_drake.benchmark.suite import SCENARIO, load_suite
 from tog_drake.cameras import with_noise
 from tog_drake.decision import decide
@@ -95,9 +96,22 @@ def test_grasps(name, fuse, table, capsys):
     for seed in SEEDS:
         scenario = scenario_of(name, seed, fuse)
         record = run_episode(scenario, name=SCENARIO, task="pick it up", target=name).record
-        row = [record["grasp_success"], record["strict_success"], len(record["collisions"] or {})]
-        kind = "grasp, strict, collisions"
-        table.setdefault((kind, "five" if fuse else "one"), []).append([float(x) for x in row])
+        counts, views = record["counts"], "five" if fuse else "one"
+        row = [
+            counts["proposed"] or 0,
+            counts["feasible"] or 0,
+            record["grasp_success"] or 0,
+            record["strict_success"] or 0,
+            len(record["collisions"] or {}),
+        ]
+        found = table.setdefault(("proposed, feasible, grasp, strict, collisions", views), [])
+        found.append(row)
+        grasped = Rate(sum(bool(each[2]) for each in found), len(found))
+        low, high = grasped.interval
         with capsys.disabled():
-            print(f"\n{name} {seed} {'five' if fuse else 'one'}: {record['outcome']}", end="")
+            print(
+                f"\n{name} {seed} {views}: {record['outcome']}, {row[0]} proposed, {row[1]} "
+                f"feasible; so far {grasped.successes}/{grasped.n} [{low:.2f}, {high:.2f}]",
+                end="",
+            )
         assert record["outcome"] != "broken"
