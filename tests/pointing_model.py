@@ -11,15 +11,15 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from seeing_server import FAMILIES, Image, Mask, point_out
+from seeing_server import Image, Mask, point_out
 
 _LEAST = 60  # [pixel] of a colour make a thing
 _HANDLE = 0.06  # of the cup's area: a smaller bulge at its rim is not known for a handle
 _BODY = 2.5  # times the cap's area: less, around a cap, is not known for a bottle's body
 
 
-def point_and_answer(text: str, images: Sequence[Image], family: str = "pixels") -> str:
-    """Returns the answer to a question of CPG, in the form that ``family`` writes points."""
+def point_and_answer(text: str, images: Sequence[Image]) -> str:
+    """Returns the answer to a question of CPG, in pixels of the picture."""
     part, parts = _seen(text, images[-1])
     held = parts.get(part)
     if held is None:
@@ -27,8 +27,7 @@ def point_and_answer(text: str, images: Sequence[Image], family: str = "pixels")
     places = {"grasp": _deepest(held)}
     if '"avoid"' in text:
         places["avoid"] = _deepest(next((m for p, m in parts.items() if m is not held), held))
-    assert family in FAMILIES
-    return point_out(text, images[-1], places, family)
+    return point_out(text, images[-1], places, "pixels")
 
 
 def _seen(text: str, image: Image) -> tuple[str, dict[str, Mask]]:
