@@ -25,6 +25,7 @@ from tog_drake.selectors.marks import (
     whole_image,
 )
 from tog_drake.values import Grasps
+from tog_drake.visibility import mark_states
 
 PURE = [Mark(str(i + 1), rgb) for i, (_, rgb) in enumerate(CANDIDATE_COLORS)]
 
@@ -42,7 +43,7 @@ def world(n=5, width=640, height=480):
     X_WG = np.tile(np.eye(4), (n, 1, 1))
     X_WG[:, :3, :3] = Rotation.from_euler("xyz", [180, 15, 0], degrees=True).as_matrix()
     X_WG[:, :3, 3] = np.column_stack([x, np.zeros(n), np.full(n, 0.015)])
-    contact = np.column_stack([x, np.full(n, -0.015), np.full(n, 0.015)])
+    contact = np.column_stack([x, np.full(n, -0.015), np.full(n, 0.03)])  # seen
     return view, p_W, Grasps(X_WG, np.full(n, 0.03), np.linspace(0.9, 0.5, n), contact)
 
 
@@ -108,7 +109,9 @@ def test_a_hand_that_reaches_beyond_the_view_is_not_cut(rows):
     assert (shown >= 5).all() and (shown <= np.array(framing.size) - 6).all()
     image = draw_grippers(view, framing, grasps, PURE[:4], "marked")
     assert (plain(view, framing)[0] == BESIDE).all()
-    for i in range(4):  # the finger tips, which no other hand hides
+    states = mark_states(grasps, view, dots=False)
+    assert "shown" in states
+    for i in (i for i in range(4) if states[i] == "shown"):  # finger tips: no other hand hides them
         u, v = np.rint(shown.reshape(4, 6, 2)[i, [0, 5]]).astype(int).T
         assert (image[v, u] == PURE[i].color).all()
 
@@ -280,3 +283,38 @@ def test_the_paper_shows_the_whole_image_without_numbers():
         assert image.shape == view.rgb.shape
         unlabelled = [replace(mark, label="") for mark in PURE[:3]]
         assert (image == draw(view, whole_image(view), grasps, unlabelled, "paper")).all()
+
+
+def hidden_and_outside(grasps, view):
+    """Three grasps: one as it was, one with contacts below the table, one beside the view."""
+    X_WG, contact = grasps.X_WG.copy(), grasps.p_WContact.copy()
+    for values in (X_WG[:, :3, 3], contact):
+        values[1, 2] -= 0.1
+        values[2] += [0.0, 2.0, 0.0]
+    return replace(grasps, X_WG=X_WG, p_WContact=contact)
+
+
+@pytest.mark.parametrize("dots", [False, True])
+def test_a_mark_is_dashed_where_its_place_is_hidden_and_dropped_where_it_is_outside(dots):
+    view, _, grasps = world(3)
+    changed = hidden_and_outside(grasps, view)
+    assert mark_states(grasps, view, dots=dots) == ("shown", "shown", "shown")
+    assert mark_states(changed, view, dots=dots) == ("shown", "dashed", "dropped")
+
+
+@pytest.mark.parametrize("draw", [draw_grippers, draw_contacts])
+@pytest.mark.parametrize("rendering", ["marked", "paper"])
+def test_a_dashed_mark_shows_its_colour_and_what_is_beneath_it(draw, rendering):
+    view, p_W, grasps = world(3)
+    grasps = hidden_and_outside(grasps, view)
+    framing = whole_image(view) if rendering == "paper" else frame_things(view, p_W, grasps)
+    one = grasps.take(np.array([1]))
+    dashed = draw(view, framing, one, PURE[1:2], "paper")
+    # Without depth nothing is known to be hidden, so the same mark is solid.
+    blind = replace(view, depth=np.zeros_like(view.depth))
+    solid = draw(blind, framing, one, PURE[1:2], "paper")
+    ink, all_ink = ((image == PURE[1].color).all(axis=2) for image in (dashed, solid))
+    assert ink.sum() > 40
+    assert (ink & all_ink).sum() < 0.75 * all_ink.sum()
+    outside = draw(view, framing, grasps.take(np.array([2])), PURE[2:3], rendering)
+    np.testing.assert_array_equal(outside, plain(view, framing))

@@ -376,3 +376,46 @@ def test_what_goes_wrong_with_an_answer_reaches_the_caller(name):
 
     with pytest.raises(Unanswered, match="rather not"):
         STRATEGIES[name](bar_scene(), refuse)
+
+
+def with_contacts(scene, moved):
+    """The scene with the contacts and hands of some rows elsewhere: {row: (3,) [m]}."""
+    grasps = scene.candidates.grasps
+    X_WG, contact = grasps.X_WG.copy(), grasps.p_WContact.copy()
+    for row, by in moved.items():
+        X_WG[row, :3, 3] += by
+        contact[row] += by
+    grasps = replace(grasps, X_WG=X_WG, p_WContact=contact)
+    return replace(scene, candidates=replace(scene.candidates, grasps=grasps))
+
+
+@pytest.mark.parametrize("name", PERMUTABLE)
+def test_a_candidate_outside_the_view_is_not_offered(name):
+    scene = bar_scene()
+    first, *others = scene.candidates.index
+    model = wants(others[0])
+    STRATEGIES[name](with_contacts(scene, {first: [0, 2.0, 0]}), model)
+    (question,) = model.questions
+    assert sorted(question.marks.values()) == others
+    assert question.expects.labels == tuple(question.marks)
+
+
+@pytest.mark.parametrize("name", PERMUTABLE)
+def test_where_all_candidates_are_outside_the_view_nothing_is_asked(name):
+    scene = bar_scene()
+    model = wants(0)
+    with pytest.raises(Unanswered, match="outside the view") as error:
+        STRATEGIES[name](
+            with_contacts(scene, {row: [0, 2.0, 0] for row in scene.candidates.index}), model
+        )
+    assert error.value.status == "off_image"
+    assert model.questions == []
+
+
+@pytest.mark.parametrize("name", PERMUTABLE)
+def test_a_hidden_candidate_is_offered_and_the_model_is_told_what_dashes_mean(name):
+    scene = bar_scene()
+    model = wants(0)
+    STRATEGIES[name](with_contacts(scene, {0: [0, 0, -0.1]}), model)
+    assert 0 in model.questions[0].marks.values()
+    assert "dashed" in model.questions[0].parts[-1]

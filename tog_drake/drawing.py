@@ -251,3 +251,21 @@ def draw_dot(image: Image, center: Array, color: Sequence[int], radius: float) -
     for share, ink in rings:
         size = round(share * radius * 2**_SHIFT)
         cv2.circle(image, (u, v), size, ink, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+
+
+def draw_ring(image: Image, center: Array, color: Sequence[int], radius: float) -> None:
+    """Draws a dashed ring at (2,) [pixel] into ``image``, as large as ``draw_dot``'s dot.
+
+    What is within shows through; nothing is drawn at NaN.
+    """
+    import cv2
+
+    if not np.isfinite(center).all():
+        return
+    u, v = np.round(center * 2**_SHIFT).astype(int).tolist()
+    size = round(0.85 * radius * 2**_SHIFT)
+    thickness = max(2, round(0.3 * radius))
+    for stroke, ink in ((thickness + 2, OUTLINE_COLOR), (thickness, color)):
+        for start in range(0, 360, 90):
+            arc = (start + 10, start + 60) if ink is color else (start + 6, start + 64)
+            cv2.ellipse(image, (u, v), (size, size), 0, *arc, ink, stroke, cv2.LINE_AA, _SHIFT)

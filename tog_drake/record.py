@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, TypedDict, get_args
 
 from tog_drake.decision import STAGES, Decision
 from tog_drake.errors import NoFeasibleGrasp
@@ -17,7 +17,7 @@ from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
 from tog_drake.values import CameraView, Grasps, NextLook
 from tog_drake.view_scorers.vlm_compare import VlmCompare
-from tog_drake.visibility import shown_in
+from tog_drake.visibility import MarkState, mark_states, shown_in
 from tog_drake.vlm_record import (
     ExchangeRecord,
     VlmRecord,
@@ -54,6 +54,9 @@ class ViewSelectionRecord(TypedDict):
     status: str  # "ok"; "not_found": no view shows the target, so the pipeline's own is shown
     candidates_visible: dict[str, int]
     """Camera -> candidates of which it sees a contact; with !Hand and no fusion its own alone."""
+    marks: dict[str, list[int]]
+    """"shown", "dashed" or "dropped" -> candidates, as rows of the feasible grasps, whose mark is
+    so in the view that is shown (see ``visibility.mark_states``)."""
 
 
 class AlignmentRecord(TypedDict):
@@ -300,6 +303,8 @@ def _view_selection_record(
     if selected is None or candidates is None:
         return None
     grasps = candidates.grasps.take(candidates.index)
+    dots = getattr(config.selector, "strategy", None) in ("cpsi", "cpmi")
+    states = mark_states(grasps, selected.view, dots=dots)
     return ViewSelectionRecord(
         scorer=kind_and_settings(config.view_selection.scorer),
         camera=selected.camera,
@@ -309,6 +314,10 @@ def _view_selection_record(
         candidates_visible={
             each.camera: int(shown_in(grasps, each.view).sum())
             for each in decision.views or (CameraView(selected.camera, selected.view),)
+        },
+        marks={
+            state: [int(row) for row, s in zip(candidates.index, states, strict=True) if s == state]
+            for state in get_args(MarkState)
         },
     )
 

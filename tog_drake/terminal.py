@@ -162,6 +162,11 @@ def print_looks(console: Console, record: "EpisodeRecord") -> None:
 def print_view(console: Console, record: "EpisodeRecord") -> None:
     """One line that says whose view is shown, where several were compared."""
     shown = record["view_selection"]
+    if shown is not None:
+        marks = {state: len(rows) for state, rows in shown["marks"].items() if rows}
+        if set(marks) - {"shown"}:
+            counts = ", ".join(f"{count} {state}" for state, count in marks.items())
+            say(console, f"marks in the view of {shown['camera']}: {counts} (hidden or outside)")
     if shown is None or shown["scorer"]["kind"] == "hand":
         return
     scores, seen = dict(shown["scores"]), shown["candidates_visible"]

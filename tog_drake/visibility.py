@@ -5,6 +5,7 @@ another thing. A finger that goes there may well meet it.
 """
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, PAD_WIDTH
 from tog_drake.pinhole import project
 from tog_drake.values import Array, Grasps, View
+
+MarkState = Literal["shown", "dashed", "dropped"]
+"""How a grasp is marked in a picture: as usual, as hidden, or not at all."""
 
 _BEHIND = 0.006  # [m] less behind a surface is not hidden: depth noise
 _ALONG = np.linspace(-0.03, FINGERTIP_Z - 0.001, 7)  # [m] z_G of the samples: the fingers' ends
@@ -54,15 +58,36 @@ def visible(p_W: Array, view: View) -> NDArray[np.bool_]:
     They lie in the image and not behind what its depth shows there. Where that has a hole, they
     count as seen: colour has none.
     """
-    size = [view.intrinsics.width, view.intrinsics.height]
+    return np.asarray(_in_image(p_W, view) & ~(_behind(p_W, view) > _BEHIND))
+
+
+def _in_image(p_W: Array, view: View) -> NDArray[np.bool_]:
+    """Which points (N, 3) project into the image."""
+    size = np.array([view.intrinsics.width, view.intrinsics.height])
     pixel = project(p_W, view.intrinsics, view.X_WC)
-    inside = np.all((pixel >= -0.5) & (pixel < np.array(size) - 0.5), axis=1)  # False where NaN
-    return np.asarray(inside & ~(_behind(p_W, view) > _BEHIND))
+    return np.asarray(np.all((pixel >= -0.5) & (pixel < size - 0.5), axis=1))  # False where NaN
 
 
 def shown_in(grasps: Grasps, view: View) -> NDArray[np.bool_]:
     """Returns which grasps the view shows, (N,): those of which it sees one of both contacts."""
     return visible(grasps.p_WContact, view) | visible(grasps.p_WOtherContact, view)
+
+
+def mark_states(grasps: Grasps, view: View, *, dots: bool) -> tuple[MarkState, ...]:
+    """Returns how the mark of each grasp is drawn, as the view's own depth has it.
+
+    It is "shown" where the view sees a contact, "dashed" where contacts lie in the image, but only
+    behind what is seen there, be it a thing or the arm, and "dropped" where none is in the image.
+
+    Args:
+        dots: whether the marks are dots at ``p_WContact``, so that only that contact counts.
+    """
+    contacts = [grasps.p_WContact] if dots else [grasps.p_WContact, grasps.p_WOtherContact]
+    seen = np.any([visible(p_W, view) for p_W in contacts], axis=0)
+    inside = np.any([_in_image(p_W, view) for p_W in contacts], axis=0)
+    return tuple(
+        "shown" if s else "dashed" if i else "dropped" for s, i in zip(seen, inside, strict=True)
+    )
 
 
 def _behind(p_W: Array, view: View) -> Array:

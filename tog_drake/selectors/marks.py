@@ -7,6 +7,10 @@ puts a numbered disc in the candidate's colour beside each candidate (see ``disc
 Hands are drawn as in all pictures here (see ``drawing``): closed, so that the U holds just what the
 grasp would hold. Marks that would hide others let them be seen: a finger beneath another hand is
 drawn on top once more as dashes, a dot beneath another is larger.
+
+What the view does not show is not drawn as if it did (see ``visibility.mark_states``): the hand of
+a grasp whose contacts are hidden is dashed, its dot is a dashed ring, and a mark whose place is
+outside the view is left out.
 """
 
 from collections.abc import Sequence
@@ -20,6 +24,7 @@ from tog_drake.drawing import (
     Image,
     draw_dot,
     draw_outlined,
+    draw_ring,
     hand_wireframe,
     mark_scale,
     project_segments,
@@ -27,6 +32,7 @@ from tog_drake.drawing import (
 from tog_drake.pinhole import project
 from tog_drake.selectors.discs import Color, draw_disc, draw_leaders, place_discs
 from tog_drake.values import Array, Grasps, View
+from tog_drake.visibility import MarkState, mark_states
 
 Rendering = Literal["marked", "paper"]
 
@@ -175,6 +181,7 @@ def draw_grippers(
     Raises:
         InputError: there is no room for so many discs.
     """
+    grasps, marks, states = _drawn(view, grasps, marks, dots=False)
     segments = project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
     hands = framing.from_view(segments).reshape(-1, 4, 2, 2)
     image = plain(view, framing)
@@ -193,8 +200,12 @@ def draw_grippers(
     distance = np.linalg.norm(grasps.X_WG[:, :3, 3] - view.X_WC[:3, 3], axis=1)
     order = np.argsort(-distance, kind="stable")
     for i in order:
-        draw_outlined(image, hands[i], marks[i].color, thickness)
-    _draw_hidden(image, hands[order], [marks[i] for i in order], thickness)
+        lines = hands[i]
+        if states[i] == "dashed":
+            lines = np.concatenate([_strokes(line, thickness) for line in lines])
+        draw_outlined(image, lines, marks[i].color, thickness)
+    solid = np.array([i for i in order if states[i] == "shown"], np.int64)
+    _draw_hidden(image, hands[solid], [marks[i] for i in solid], thickness)
     for center, mark in zip(centers, marks, strict=False):
         draw_disc(image, center, mark.label, mark.color)
     return image
@@ -204,6 +215,7 @@ def draw_contacts(
     view: View, framing: Framing, grasps: Grasps, marks: Sequence[Mark], rendering: Rendering
 ) -> Image:
     """Draws the contact points of grasps as dots; the arguments are those of ``draw_grippers``."""
+    grasps, marks, states = _drawn(view, grasps, marks, dots=True)
     contacts = framing.from_view(project(grasps.p_WContact, view.intrinsics, view.X_WC))
     image = plain(view, framing)
     least = DOT * mark_scale(*framing.size)
@@ -222,10 +234,31 @@ def draw_contacts(
         )
         draw_leaders(image, centers, named, [mark.color for mark in marks])
     for i in range(len(grasps))[::-1]:
-        draw_dot(image, contacts[i], marks[i].color, radius[i])
+        draw = draw_ring if states[i] == "dashed" else draw_dot
+        draw(image, contacts[i], marks[i].color, radius[i])
     for center, mark in zip(centers, marks, strict=False):
         draw_disc(image, center, mark.label, mark.color)
     return image
+
+
+def _drawn(
+    view: View, grasps: Grasps, marks: Sequence[Mark], *, dots: bool
+) -> tuple[Grasps, Sequence[Mark], list[MarkState]]:
+    """Returns the grasps that are not dropped, their marks and states."""
+    states = mark_states(grasps, view, dots=dots)
+    rows = [i for i, state in enumerate(states) if state != "dropped"]
+    kept = grasps.take(np.array(rows, np.int64))
+    return kept, [marks[i] for i in rows], [states[i] for i in rows]
+
+
+def _strokes(line: Array, thickness: float) -> Array:
+    """Cuts a line (2, 2) into dashes (D, 2, 2) with gaps as long, a dash at either end."""
+    if not np.isfinite(line).all():
+        return np.zeros((0, 2, 2))
+    length = float(np.linalg.norm(line[1] - line[0]))
+    count = max(2, round(length / (7 * thickness)))
+    ends = (2 * np.arange(count)[:, None] + [0.1, 0.9]) / (2 * count - 1)  # (D, 2), from 0 to 1
+    return np.asarray(line[0] + ends[..., None] * (line[1] - line[0]))
 
 
 def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tog_drake.drawing import CANDIDATE_COLORS
-from tog_drake.errors import InputError
+from tog_drake.errors import InputError, Unanswered
 from tog_drake.panda import grasps_apart
 from tog_drake.selectors import prompts
 from tog_drake.selectors.marks import (
@@ -38,7 +38,9 @@ from tog_drake.selectors.pointed import avoid, cpg
 from tog_drake.selectors.scene import Ask, Pick, Scene, Strategy
 from tog_drake.selectors.vlm.question import Image, Options, Question
 from tog_drake.values import Array, Grasps, View
+from tog_drake.visibility import mark_states
 
+DASHED = "\n\nA mark that is dashed is at a place that is hidden in the picture."
 ROUNDS = 3  # of pivot
 PIVOT_MARKS = 6  # in each of them: more crowd an image
 _NARROWING = 4  # each round looks at this fraction of the grasps of the last
@@ -131,13 +133,23 @@ def _ask_marked(
         separate: whether each has a picture of its own.
         round_: of ROUNDS, where there are some.
     """
-    rows, marks = _shuffled(scene, rows, separate=separate, round_=round_)
+    states = mark_states(scene.candidates.grasps.take(rows), scene.view, dots=draw is draw_contacts)
+    kept = [row for row, state in zip(rows, states, strict=True) if state != "dropped"]
+    if not kept:
+        raise Unanswered(
+            "off_image",
+            f"nothing was asked, as all {len(rows)} grasps are outside the view that is shown: "
+            "show another one (--view coverage)",
+        )
+    rows, marks = _shuffled(scene, np.array(kept), separate=separate, round_=round_)
     labels = tuple(mark.label for mark in marks)
     prompt = prompts.load(name)
     values = {"round": round_, "rounds": ROUNDS} if round_ else {}
     text = prompt.render(
         task=scene.task, rendering=scene.rendering, labels=labels, count=len(labels), **values
     )
+    if "dashed" in states:
+        text += DASHED
     label = ask(
         Question(
             prompt=prompt.version,
