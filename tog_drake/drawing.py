@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from tog_drake.panda import FINGER_THICKNESS, FINGERTIP_Z, GRASP_Z, PALM_Z
 from tog_drake.pinhole import project
 from tog_drake.values import Array, Candidates, Choice, Grasps, View
+from tog_drake.visibility import shown_in
 
 Image = NDArray[np.uint8]  # (H, W, 3), RGB
 
@@ -106,6 +107,7 @@ def draw_grasps(
     thickness: float = 2.0,
     opacity: float = 1.0,
     contacts: bool = False,
+    hidden_dashed: bool = False,
 ) -> Image:
     """Draws grasps on the colour image of ``view``, the best on top.
 
@@ -116,6 +118,7 @@ def draw_grasps(
         thickness: of a line [pixel] in an image of 640×480; it grows with the image.
         opacity: 0 leaves the image as it is, 1 covers it.
         contacts: whether to mark the contact points with a dot.
+        hidden_dashed: whether a hand is dashed where the view sees none of its contacts.
 
     Returns:
         A new image, (H, W, 3) uint8.
@@ -126,8 +129,12 @@ def draw_grasps(
     pixels = project_segments(hand_wireframe(grasps).reshape(-1, 2, 3), view)
     rgb = np.broadcast_to(np.asarray(colors), (len(grasps), 3)).tolist()
     image = np.ascontiguousarray(view.rgb).copy()
-    for lines, color in zip(pixels.reshape(-1, 4, 2, 2)[::-1], rgb[::-1], strict=True):
-        draw_outlined(image, lines, color, thickness * scale)
+    stroke = thickness * scale
+    solid = shown_in(grasps, view) if hidden_dashed else np.ones(len(grasps), bool)
+    for i, lines in reversed(list(enumerate(pixels.reshape(-1, 4, 2, 2)))):
+        if not solid[i]:
+            lines = np.concatenate([dashed(line, stroke) for line in lines])
+        draw_outlined(image, lines, rgb[i], stroke)
     if contacts and len(grasps):
         dots = np.repeat(grasps.p_WContact[:, None], 2, axis=1)
         for (center, _), color in zip(project_segments(dots, view)[::-1], rgb[::-1], strict=True):
@@ -142,6 +149,8 @@ def decision_image(
 ) -> Image:
     """Draws what was decided: all grasps faint, candidates in their colours, the choice bold.
 
+    Of candidates and the choice, the hands whose place the view does not show are dashed.
+
     Where a model pointed there is a cross, an upright one at the place to grasp. What is None,
     because its stage failed, is left out.
     """
@@ -150,12 +159,13 @@ def decision_image(
         colors = np.array([candidate_color(rank) for rank in range(K)]).reshape(K, 3)
         faint = draw_grasps(view, candidates.grasps, FAINT_COLOR, thickness=1.0, opacity=0.15)
         view = replace(view, rgb=faint)
-        view = replace(
-            view, rgb=draw_grasps(view, candidates.grasps.take(candidates.index), colors)
-        )
+        shown = candidates.grasps.take(candidates.index)
+        view = replace(view, rgb=draw_grasps(view, shown, colors, hidden_dashed=True))
     if choice is not None:
         color = choice_color(candidates, choice)
-        bold = draw_grasps(view, choice.grasp, color, thickness=4.0, contacts=True)
+        bold = draw_grasps(
+            view, choice.grasp, color, thickness=4.0, contacts=True, hidden_dashed=True
+        )
         for role, pixel in choice.pointed.items():
             _draw_cross(bold, np.array(pixel), upright=role == "grasp")
         view = replace(view, rgb=bold)
@@ -238,6 +248,16 @@ def draw_outlined(image: Image, lines: Array, color: Sequence[int], thickness: f
     rim = max(1.0, 0.4 * thickness)
     for stroke, ink in ((thickness + 2 * rim, OUTLINE_COLOR), (thickness, color)):
         cv2.polylines(image, ends, False, ink, max(1, round(stroke)), cv2.LINE_AA, _SHIFT)
+
+
+def dashed(line: Array, thickness: float) -> Array:
+    """Cuts a line (2, 2) [pixel] into dashes (D, 2, 2) with gaps as long, a dash at either end."""
+    if not np.isfinite(line).all():
+        return np.zeros((0, 2, 2))
+    length = float(np.linalg.norm(line[1] - line[0]))
+    count = max(2, round(length / (7 * thickness)))
+    ends = (2 * np.arange(count)[:, None] + [0.1, 0.9]) / (2 * count - 1)  # (D, 2), from 0 to 1
+    return np.asarray(line[0] + ends[..., None] * (line[1] - line[0]))
 
 
 def draw_dot(image: Image, center: Array, color: Sequence[int], radius: float) -> None:

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from tog_drake.drawing import (
     Image,
+    dashed,
     draw_dot,
     draw_outlined,
     draw_ring,
@@ -202,7 +203,7 @@ def draw_grippers(
     for i in order:
         lines = hands[i]
         if states[i] == "dashed":
-            lines = np.concatenate([_strokes(line, thickness) for line in lines])
+            lines = np.concatenate([dashed(line, thickness) for line in lines])
         draw_outlined(image, lines, marks[i].color, thickness)
     solid = np.array([i for i in order if states[i] == "shown"], np.int64)
     _draw_hidden(image, hands[solid], [marks[i] for i in solid], thickness)
@@ -249,16 +250,6 @@ def _drawn(
     rows = [i for i, state in enumerate(states) if state != "dropped"]
     kept = grasps.take(np.array(rows, np.int64))
     return kept, [marks[i] for i in rows], [states[i] for i in rows]
-
-
-def _strokes(line: Array, thickness: float) -> Array:
-    """Cuts a line (2, 2) into dashes (D, 2, 2) with gaps as long, a dash at either end."""
-    if not np.isfinite(line).all():
-        return np.zeros((0, 2, 2))
-    length = float(np.linalg.norm(line[1] - line[0]))
-    count = max(2, round(length / (7 * thickness)))
-    ends = (2 * np.arange(count)[:, None] + [0.1, 0.9]) / (2 * count - 1)  # (D, 2), from 0 to 1
-    return np.asarray(line[0] + ends[..., None] * (line[1] - line[0]))
 
 
 def _unmistakable(hands: Array, size: tuple[int, int], apart: float) -> Array:

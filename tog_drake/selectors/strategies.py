@@ -138,8 +138,8 @@ def _ask_marked(
     if not kept:
         raise Unanswered(
             "off_image",
-            f"nothing was asked, as all {len(rows)} grasps are outside the view that is shown: "
-            "show another one (--view coverage)",
+            f"all {len(rows)} grasps are outside the view that is shown: show another one "
+            "(--view coverage)",
         )
     rows, marks = _shuffled(scene, np.array(kept), separate=separate, round_=round_)
     labels = tuple(mark.label for mark in marks)

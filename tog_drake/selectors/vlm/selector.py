@@ -167,7 +167,8 @@ class VlmSelector:
         """Does what the config says where the model's answer is no use."""
         status = problem.status
         assert status is not None  # whatever raises it here says so
-        message = f"The model's answer cannot be used ({status}): {problem}".rstrip(".")
+        said = "The model's answer cannot be used" if exchanges else "No model was asked"
+        message = f"{said} ({status}): {problem}".rstrip(".")
         if self._config.fallback != "geometric":
             raise NoChoice(f"{message}.", status=status, exchanges=exchanges) from problem
         try:
