@@ -14,8 +14,7 @@ import numpy as np
 from seeing_server import Image, Mask, point_out
 
 _LEAST = 60  # [pixel] of a colour make a thing
-_HANDLE = 0.06  # of the cup's area: a smaller bulge at its rim is not known for a handle
-_BODY = 2.5  # times the cap's area: less, around a cap, is not known for a bottle's body
+_HANDLE = 0.03  # of the cup: what is less, at its rim, is its rounding
 
 
 def point_and_answer(text: str, images: Sequence[Image]) -> str:
@@ -36,7 +35,7 @@ def _seen(text: str, image: Image) -> tuple[str, dict[str, Mask]]:
     if re.search(r"\bmug\b", task):
         return ("handle" if "drink" in task else "body"), mug_parts(image)
     if re.search(r"\bbottle\b", task):
-        return ("body" if "pour" in task else "cap"), bottle_parts(image)
+        return ("label" if "label" in task else "cap"), bottle_parts(image)
     raise AssertionError(f"the task is of no mug and no bottle: {task}")
 
 
@@ -52,19 +51,19 @@ def mug_parts(image: Image) -> dict[str, Mask]:
 
 
 def bottle_parts(image: Image) -> dict[str, Mask]:
-    """A deep blue cap, and a paler body with a label."""
+    """A deep blue cap at the top, and a label around the body, white as nothing else of it."""
     h, s, v = _hsv(image)
-    blue = (h > 185) & (h < 240)
-    bottle = _thing(blue & (s > 0.25) & (v < 0.97) | (s < 0.12) & (v > 0.25) & (v < 0.97))
-    # The print on the label is as blue as the cap; the cap is what ends the bottle at the top.
+    blue, white = (h > 185) & (h < 240), (s < 0.12) & (v > 0.25) & (v < 0.97)
+    bottle = _thing((blue & (s > 0.25) & (v < 0.97)) | white)
     deep = bottle & blue & (s > 0.8)
     _, component, stats, _ = cv2.connectedComponentsWithStats(deep.astype(np.uint8))
     large = [i for i in range(1, len(stats)) if stats[i, cv2.CC_STAT_AREA] >= _LEAST]
-    if not large:
-        return _known(body=bottle)
-    cap = component == min(large, key=lambda i: stats[i, cv2.CC_STAT_TOP])
-    body = bottle & ~cap
-    return _known(cap=cap, body=body if body.sum() > _BODY * cap.sum() else None)
+    # The print on the label is as blue as the cap.
+    cap = component == min(large, key=lambda i: stats[i, cv2.CC_STAT_TOP], default=-1)
+    rows = np.flatnonzero((bottle & white).sum(axis=1) > 0.5 * bottle.sum(axis=1).max())
+    label = bottle.copy()
+    label[: rows.min(initial=len(label))] = label[rows.max(initial=-1) + 1 :] = False
+    return _known(cap=cap, label=label)
 
 
 def _known(**parts: Mask | None) -> dict[str, Mask]:

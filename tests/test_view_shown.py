@@ -16,7 +16,7 @@ from tog_drake.selectors.vlm.specification import read_specification
 PART = {"MugHandleHidden": "handle", "BottleFromAbove": "body"}
 TASK = {
     "MugHandleHidden": "drink from the mug",
-    "BottleFromAbove": "pour water from the bottle",
+    "BottleFromAbove": "pick up the bottle by its label",
 }
 STOPPED = "executor: {max_tracking_error: 1.0e-9}"  # what was chosen is known by then
 

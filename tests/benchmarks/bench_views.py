@@ -25,7 +25,7 @@ from tog_drake.vlm_record import exchanges_of
 
 CASES = {
     "MugHandleHidden": "drink from the mug",
-    "BottleFromAbove": "pour water from the bottle",
+    "BottleFromAbove": "pick up the bottle by its label",
 }
 WAYS = {
     "hand": "",
