@@ -193,7 +193,7 @@ def test_the_suites_of_the_package_can_be_loaded_and_say_how_often_they_are_run(
     found = {name: load_suite(name) for name in suite_files()}
     assert {name: (len(suite.trials), suite.seeds) for name, suite in found.items()} == {
         "builtin": (55, 5), "household": (11, 3), "kitchen": (12, 3), "tools": (10, 3),
-        "tog29": (63, 1),
+        "tog29": (63, 1), "views": (2, 5),
     }  # fmt: skip
 
 
