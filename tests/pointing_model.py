@@ -60,9 +60,11 @@ def bottle_parts(image: Image) -> dict[str, Mask]:
     large = [i for i in range(1, len(stats)) if stats[i, cv2.CC_STAT_AREA] >= _LEAST]
     # The print on the label is as blue as the cap.
     cap = component == min(large, key=lambda i: stats[i, cv2.CC_STAT_TOP], default=-1)
-    rows = np.flatnonzero((bottle & white).sum(axis=1) > 0.5 * bottle.sum(axis=1).max())
-    label = bottle.copy()
-    label[: rows.min(initial=len(label))] = label[rows.max(initial=-1) + 1 :] = False
+    label = np.zeros_like(bottle)
+    band = cv2.morphologyEx((bottle & white).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+    if np.count_nonzero(band) > _LEAST:
+        hull = cv2.convexHull(np.argwhere(band)[:, ::-1].astype(np.int32))
+        label = cv2.fillConvexPoly(band, hull, 1) > 0
     return _known(cap=cap, label=label)
 
 

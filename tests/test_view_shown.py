@@ -59,10 +59,12 @@ def test_a_model_fails_on_the_hands_view_and_succeeds_on_the_least_ambiguous_one
 def test_a_model_succeeds_on_a_view_that_the_wrist_camera_went_to(server):
     record, share = chosen(
         server,
-        "MugHandleHidden",
+        "BottleFromAbove",
         "look: !Active {}, cloud: {fuse: false}, view_selection: {scorer: !Coverage {}}",
         wrist_alone=True,
     )
     assert share >= COMPLIANT_SHARE
     assert record["combined_success"]
-    assert record["view_selection"]["camera"] == "wrist#2"
+    looks = record["attempts"][0]["looks"]
+    assert len(looks) > 1
+    assert record["view_selection"]["camera"].startswith("wrist")

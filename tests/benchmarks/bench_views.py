@@ -1,12 +1,14 @@
 """What the view that is shown decides: two cases, a model that points at what it sees, three ways.
 
     python tests/benchmarks/bench_views.py [SEEDS [FOLDER]]
+    python tests/benchmarks/bench_views.py rows FOLDER   # tog eval views, into FOLDER
 
 Ways: the wrist camera's view; the least ambiguous of all cameras' (`--view coverage`), the grasps
 being the same; and further looks with the wrist camera alone (`--look active`). In FOLDER, for
 every episode, the picture that was shown with the place that was pointed at.
 """
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -87,5 +89,23 @@ def _score(seen) -> str:
     return "-" if score is None else f"{score:.2f}"
 
 
-if __name__ == "__main__":
+def rows(folder: str) -> None:
+    """Runs the suite of both cases: what ``tog report`` makes of hand and least ambiguous view."""
+    with VlmServer(point_and_answer, key=None) as server:
+        command = [
+            sys.executable,
+            "-m",
+            "tog_drake.cli",
+            "eval",
+            "views",
+            "--views",
+            "hand,coverage",
+        ]
+        asked = ["--vlm", server.specification("openai"), "--strategies", "cpg"]
+        subprocess.run([*command, "--selectors", "geometric", *asked, "--out", folder], check=True)
+
+
+if __name__ == "__main__" and sys.argv[1:2] == ["rows"]:
+    rows(sys.argv[2])
+elif __name__ == "__main__":
     main(*(f(a) for f, a in zip((int, str), sys.argv[1:], strict=False)))
