@@ -102,7 +102,9 @@ def rows(folder: str) -> None:
             "hand,coverage",
         ]
         asked = ["--vlm", server.specification("openai"), "--strategies", "cpg"]
-        subprocess.run([*command, "--selectors", "geometric", *asked, "--out", folder], check=True)
+        subprocess.run(
+            [*command, "--selectors", "geometric,vlm", *asked, "--out", folder], check=True
+        )
 
 
 if __name__ == "__main__" and sys.argv[1:2] == ["rows"]:
