@@ -27,6 +27,7 @@ TOLERABLE = 0.003  # [m] beyond that, what is fused is thicker by more than a po
 REACH = 0.1  # [m] a turn is weighed by how far it moves what is this far from the middle
 
 _VOXEL = 0.005  # [m]
+_EVERY = 4  # pixel of a row, staggered: what is denoised hardly differs from pixel to pixel
 _NEIGHBORS = 12  # points that a normal is fitted to
 _BELOW = 0.03  # [m] below the table top: of a camera that is off, the table may be there
 _PADDING = 0.03  # [m] around the robot: its outline may be off, too
@@ -219,6 +220,8 @@ def _surface(view: View, workspace: Workspace, robot: Spheres | None) -> _Surfac
     """What a view shows in the workspace, with the table."""
     view = replace(view, depth=denoised(view.depth, inverse_depth_noise(view.depth)))
     pixel = np.flatnonzero(view.depth > 0)
+    width = view.depth.shape[1]
+    pixel = pixel[(pixel // width + pixel % width) % _EVERY == 0]
     p_W = unproject_pixels(view, pixel)
     lower = [*workspace.lower[:2], workspace.table_height - _BELOW]
     keep = np.all((p_W > lower) & (p_W < workspace.upper), axis=1)
