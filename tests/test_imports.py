@@ -10,7 +10,7 @@ import tog_drake
 
 HEAVY = (
     *("torch", "transformers", "huggingface_hub", "cv2", "requests"),
-    *("trimesh", "fast_simplification", "coacd", "PIL", "platformdirs"),
+    *("trimesh", "fast_simplification", "coacd", "PIL", "platformdirs", "pyrealsense2"),
 )
 WITH_TORCH = [
     f"tog_drake.proposers.contact_graspnet.{name}"

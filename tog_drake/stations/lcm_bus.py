@@ -84,6 +84,10 @@ class ImagePair:
     rgb: np.ndarray  # (H, W, 3) uint8
     depth: np.ndarray  # (H, W) float32 [m]; 0, inf and NaN are holes
 
+    def __deepcopy__(self, memo: dict[int, object]) -> "ImagePair":
+        # Every update of a Diagram copies its state, and nothing in it ever changes.
+        return self
+
 
 def make_lcm(url: str = "") -> DrakeLcm:
     """Returns LCM with a receive buffer that holds images.
