@@ -50,6 +50,7 @@ except SystemExit as ended:
         _help("assets", "import"),
         _help("serve", "proposer"),
         _help("weights", "check"),
+        _help("hardware", "emulate"),
     ],
     ids=[
         "import",
@@ -61,6 +62,7 @@ except SystemExit as ended:
         "assets import --help",
         "serve proposer --help",
         "weights check --help",
+        "hardware emulate --help",
     ],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):

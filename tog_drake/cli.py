@@ -10,6 +10,7 @@ import typer
 from tog_drake.assets_commands import app as assets_app
 from tog_drake.benchmark_commands import evaluate_, label, report
 from tog_drake.errors import TogError
+from tog_drake.hardware_commands import app as hardware_app
 from tog_drake.look_commands import diagram, doctor, scenarios, show
 from tog_drake.run_commands import choose, demo, run
 from tog_drake.serve_commands import app as serve_app
@@ -51,6 +52,7 @@ app.add_typer(vlm_app, name="vlm")
 app.add_typer(assets_app, name="assets")
 app.add_typer(weights_app, name="weights")
 app.add_typer(serve_app, name="serve")
+app.add_typer(hardware_app, name="hardware")
 
 
 def main() -> None:

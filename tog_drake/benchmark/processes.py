@@ -178,7 +178,7 @@ def _serve(pipe: Connection, work: Callable[[Job], T]) -> None:
     """Does the jobs that come through the pipe, until it ends or the parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    threading.Thread(target=die_with_parent, daemon=True).start()
     keep_drake_quiet()
     while True:
         try:
@@ -208,7 +208,7 @@ def broken_by(error: BaseException) -> Broken:
     return Broken(" ".join(last.split()), traceback.format_exc())
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     parent = parent_process()
     if parent is not None:
         parent.join()
