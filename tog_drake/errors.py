@@ -8,6 +8,7 @@ what would be valid and what to do next; it needs no traceback to be understood.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from tog_drake.safety import StopReason
     from tog_drake.values import AnswerStatus, ChoiceStatus, Exchange
 
 
@@ -94,6 +95,22 @@ class NoPlan(EpisodeError):
     """No motion to the chosen grasp passed the checks."""
 
     outcome = "no_plan"
+
+
+class NoImage(EpisodeError):
+    """A camera brings no images, or old ones: nothing is decided on them."""
+
+    outcome = "no_image"
+
+
+class Stopped(EpisodeError):
+    """A motion of a real arm was stopped, or never began; ``rule`` says what it would break."""
+
+    outcome = "stopped"
+
+    def __init__(self, message: str, rule: "StopReason"):
+        super().__init__(message)
+        self.rule = rule
 
 
 class Unanswered(Exception):

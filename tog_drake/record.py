@@ -158,6 +158,8 @@ OUTCOMES = {
     "no_choice": "the selector could not decide",
     "no_plan": "no motion to the chosen grasp passed the checks",
     "collision": "the arm hit something it knew of, or no longer followed its command",
+    "no_image": "a real camera brought no image, or an old one",
+    "stopped": "a rule of safety or a person stopped the real arm",
     "broken": "the program failed; traceback.txt beside it says where",
     "chosen": "a grasp was chosen on a saved view; nothing was executed",
 }

@@ -21,6 +21,7 @@ from tog_drake.assets.model import CORE_FILE, MODEL
 from tog_drake.assets.surface import read_core
 from tog_drake.cameras import L515, Camera, drake_config
 from tog_drake.errors import InputError
+from tog_drake.hardware.config import HardwareConfig
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.placement import Settle, placed
 from tog_drake.resources import make_package_map, resource_dir
@@ -91,6 +92,8 @@ class Scenario:
         default_factory=lambda: SimulatorConfig(target_realtime_rate=0.0)
     )
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    hardware: HardwareConfig | None = None
+    """The real robot of this scenario, for `tog hardware`."""
 
 
 def _table() -> ModelDirective:
