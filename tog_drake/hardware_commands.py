@@ -28,8 +28,16 @@ def emulate(
         float, typer.Option(min=50.0, max=1000.0, help="[Hz] of the arm's status.")
     ] = 200.0,
     recover_after: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="[s] after a reflex the driver is there again; else never."),
+        float, typer.Option(min=0.0, help="[s] until the driver is there again after a reflex.")
+    ] = float("inf"),
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="KIND:CHANNEL:START:DURATION[:AMOUNT], such as drop:PANDA_STATUS:0.5:0.2: what "
+            "goes wrong, START s after the arm first moves (+START: after the emulator starts). "
+            "May be given several times. KIND: drop | delay | freeze | reorder | duplicate | nan "
+            "of any channel; restart | reflex | push of PANDA_STATUS."
+        ),
     ] = None,
     log: Annotated[
         Path | None, typer.Option(help="File that gets every command and what became of it.")
@@ -37,14 +45,18 @@ def emulate(
 ) -> None:
     """Be a robot for `tog hardware run`: arm, hand and camera, simulated, until Ctrl-C."""
     from tog_drake.files import check_file
-    from tog_drake.hardware.emulator import Emulator
+    from tog_drake.hardware.emulator import Emulator, EmulatorConfig, image_channels
+    from tog_drake.hardware.faults import parse_fault
     from tog_drake.options import DEFAULT_SCENARIO
     from tog_drake.scenario import load_scenario
 
     loaded = load_scenario(scenario or DEFAULT_SCENARIO, scenario_text, seed=seed)
+    channels = list(image_channels(loaded).values())
+    faults = [parse_fault(text, channels) for text in fault or []]
     if log is not None:
         check_file(log, "--log")
         log.parent.mkdir(parents=True, exist_ok=True)
-    with Emulator(loaded, rate=rate, recover_after=recover_after, log=log) as emulator:
+    config = EmulatorConfig(rate, recover_after, faults, log)
+    with Emulator(loaded, config) as emulator:
         say(console_for(as_json=False), f"an emulated robot, {rate:g} Hz (Ctrl-C ends it)")
         emulator.run()

@@ -8,6 +8,7 @@ the arm brakes and stands, and nothing is carried out until the driver was start
 Where the real one is known less than that, this one is the stricter: it is a rehearsal.
 """
 
+import math
 from collections.abc import Callable
 from enum import Enum
 
@@ -45,17 +46,17 @@ class ArmDriver:
     Args:
         q: where the arm is held until the first command.
         recover_after: [s] from a reflex, or the driver's end, to a driver that was started anew;
-            None: it stays so.
+            infinite: it stays so.
     """
 
-    def __init__(self, q: Array, recover_after: float | None = None):
+    def __init__(self, q: Array, recover_after: float = math.inf):
         self.mode = RobotMode.MOVE
         self.running = True  # False: the process has ended; no status is sent
         self.why = ""  # it is in another mode than MOVE, or not running
         self.q_desired = q  # (7,) [rad] what the joints are told
         self.moved = False  # whether a command ever asked for anything but standing still
         self._recover_after = recover_after
-        self._back_at: float | None = None  # when it is started anew
+        self._back_at = math.inf  # when it is started anew
         self._brake: tuple[float, Callable[[float], Array]] | None = None  # since when, and how
         self._q_first = q
         # Of the last accepted command, (7,) [rad], what it meant, (7,) [rad/s], and [µs].
@@ -69,7 +70,7 @@ class ArmDriver:
         try:
             utime, q = read_arm_command(data)
         except ValueError as error:
-            self.end(str(error), now, None)
+            self.end(str(error), now)
             return Verdict.ENDED
         if abs(now - utime / 1e6) > EXPIRY:
             return Verdict.EXPIRED
@@ -104,24 +105,29 @@ class ArmDriver:
             return "the first command is not where the arm is"
         return ""
 
-    def reflex(self, why: str, now: float) -> None:
-        """Brakes as hard as the joints may and stands; until it recovers, if it ever does."""
+    def reflex(self, why: str, now: float, lasts: float | None = None) -> None:
+        """Brakes as hard as the joints may, and stands.
+
+        Args:
+            why: in words.
+            now: when.
+            lasts: [s] until it recovers; None: ``recover_after``.
+        """
         self.mode, self.why = RobotMode.REFLEX, why
         limits = JointLimits(Q_LOWER, Q_UPPER, V_MAX, A_MAX, J_MAX)
         self._brake = now, come_to_rest(self._q, self._v, np.zeros(7), limits)
-        self._back_at = None if self._recover_after is None else now + self._recover_after
+        self._back_at = now + (self._recover_after if lasts is None else lasts)
 
-    def end(self, why: str, now: float, silence: float | None) -> None:
+    def end(self, why: str, now: float, silence: float | None = None) -> None:
         """Ends the process: no status. Started anew after ``silence`` [s], or ``recover_after``."""
         if self.mode is RobotMode.MOVE:
             self.reflex(why, now)  # without its driver, the arm brakes too
         self.running, self.why = False, why
-        silence = self._recover_after if silence is None else silence
-        self._back_at = None if silence is None else now + silence
+        self._back_at = now + (self._recover_after if silence is None else silence)
 
     def advance(self, now: float, dt: float) -> Array:
         """Returns what the joints are told now, (7,) [rad], ``dt`` [s] after the last time."""
-        if self._back_at is not None and now >= self._back_at:
+        if now >= self._back_at:
             self._start_anew()
         target = self._q
         if self._brake is not None:
@@ -133,7 +139,7 @@ class ArmDriver:
 
     def _start_anew(self) -> None:
         self.mode, self.running, self.why = RobotMode.MOVE, True, ""
-        self._brake = self._back_at = None
+        self._brake, self._back_at = None, math.inf
         self._q, self._v, self._utime = self.q_desired, np.zeros(7), None
 
 

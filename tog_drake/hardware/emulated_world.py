@@ -4,6 +4,7 @@ It runs in a process of its own (``Child``): a step of contact may take longer t
 the status, which the real driver never delays.
 """
 
+import os
 import signal
 import threading
 from collections.abc import Callable
@@ -95,12 +96,15 @@ class Child(Generic[Asked, Answer]):
     Args:
         make: makes, in that process, what is called with each thing asked.
         arguments: of ``make``.
+        nice: how much it stands back where processors are few.
     """
 
-    def __init__(self, make: Callable[..., Callable[[Asked], Answer]], *arguments: Any):
+    def __init__(self, make: Callable[..., Callable[[Asked], Answer]], *arguments: Any, nice: int):
         context = get_context("fork")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, make, arguments), daemon=True)
+        self._process = context.Process(
+            target=_serve, args=(theirs, make, arguments, nice), daemon=True
+        )
         self._process.start()
         theirs.close()  # so that the death of the process ends the pipe
         self.busy = True
@@ -145,12 +149,13 @@ class Child(Generic[Asked, Answer]):
 
 
 def _serve(
-    pipe: Any, make: Callable[..., Callable[[Any], Any]], arguments: tuple[Any, ...]
+    pipe: Any, make: Callable[..., Callable[[Any], Any]], arguments: tuple[Any, ...], nice: int
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=die_with_parent, daemon=True).start()
     keep_drake_quiet()
+    os.nice(nice)
     try:
         made = make(*arguments)
     except InputError as error:
