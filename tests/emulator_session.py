@@ -64,7 +64,7 @@ def images(wire):
     assert wire.until(lambda: wire.camera.newest is not None)
     pair = wire.camera.newest
     (scene,) = [line for line in wire.logged("image") if round(1e6 * line["time"]) == pair.utime]
-    station = SimulationStation(load_scenario("Hammer", seed=SEED))
+    station = SimulationStation(load_scenario("panda_lcm", seed=SEED))
     context = station.CreateDefaultContext()
     station.plant.SetPositions(station.plant.GetMyContextFromRoot(context), scene["positions"])
     rgb, depth = (

@@ -109,4 +109,5 @@ def test_a_fault_or_a_scenario_that_is_none_is_refused_before_anything_starts(tm
     refused(tog("hardware", "emulate", "--fault", "drop"), "KIND:CHANNEL:START:DURATION")
     refused(tog("hardware", "emulate", "--fault", "drop:TOG_SIDE:1:2"), "TOG_WRIST")
     refused(tog("hardware", "emulate", "--scenario", "Nowhere"), "unknown scenario")
+    refused(tog("hardware", "emulate", "--scenario", "Mug"), "no section hardware", "panda_lcm")
     refused(tog("hardware", "emulate", "--log", tmp_path), "is a folder")

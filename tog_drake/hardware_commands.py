@@ -5,8 +5,15 @@ from typing import Annotated
 
 import typer
 
-from tog_drake.options import ScenarioOption, ScenarioText, SeedOption
+from tog_drake.options import ScenarioText, SeedOption
 from tog_drake.terminal import console_for, say
+
+RealScenarioOption = Annotated[
+    str,
+    typer.Option(
+        "--scenario", help="Name or YAML file, with a section hardware; by default panda_lcm."
+    ),
+]
 
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="A real robot, or one that is emulated."
@@ -18,10 +25,10 @@ def _hardware() -> None:
     """Or a single command would take the place of the group."""
 
 
-@app.command(epilog="Example: tog hardware emulate --scenario Hammer --log out/robot.jsonl")
+@app.command(epilog="Example: tog hardware emulate --scenario panda_lcm --log out/robot.jsonl")
 def emulate(
     *,
-    scenario: ScenarioOption = None,
+    scenario: RealScenarioOption = "panda_lcm",
     scenario_text: ScenarioText = None,
     seed: SeedOption = None,
     rate: Annotated[
@@ -47,10 +54,9 @@ def emulate(
     from tog_drake.files import check_file
     from tog_drake.hardware.emulator import Emulator, EmulatorConfig, image_channels
     from tog_drake.hardware.faults import parse_fault
-    from tog_drake.options import DEFAULT_SCENARIO
     from tog_drake.scenario import load_scenario
 
-    loaded = load_scenario(scenario or DEFAULT_SCENARIO, scenario_text, seed=seed)
+    loaded = load_scenario(scenario, scenario_text, seed=seed)
     channels = list(image_channels(loaded).values())
     faults = [parse_fault(text, channels) for text in fault or []]
     if log is not None:

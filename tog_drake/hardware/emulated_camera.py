@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from pydrake.lcm import DrakeLcm
-
+from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.faults import FaultyLine, Schedule
 from tog_drake.scenario import Scenario
 from tog_drake.stations.lcm_bus import images_message, make_lcm
@@ -29,19 +28,12 @@ class EmulatedCameras:
         scenario: of the world.
         channels: of LCM, by camera.
         schedule: the faults.
-        lcm: who sends; None: made here, as it must be in the process that uses it.
 
     Raises:
         InputError: the scenario cannot be built.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        channels: dict[str, str],
-        schedule: Schedule,
-        lcm: DrakeLcm | None = None,
-    ):
+    def __init__(self, scenario: Scenario, channels: dict[str, str], schedule: Schedule):
         self._station = SimulationStation(scenario)
         self._context = self._station.CreateDefaultContext()
         self._channels = channels
@@ -50,7 +42,7 @@ class EmulatedCameras:
             channel: FaultyLine(channel, schedule, scenario.random_seed)
             for channel in channels.values()
         }
-        self._lcm = lcm or make_lcm()
+        self._lcm = make_lcm(hardware_of(scenario).lcm_url)
 
     def __call__(self, scene: Scene) -> None:
         self._schedule.begin, self._schedule.moved = scene.begin, scene.moved

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tog_drake.hardware.arm_driver import ArmDriver, Verdict, read_arm_command
+from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.emulated_camera import EmulatedCameras, Scene
 from tog_drake.hardware.emulated_world import Child, Drive, EmulatedWorld, WorldState
 from tog_drake.hardware.faults import Fault, FaultyLine, Schedule
@@ -24,6 +25,7 @@ from tog_drake.stations.lcm_bus import (
     hand_status_message,
     make_lcm,
 )
+from tog_drake.stations.lcm_camera import LcmImages
 from tog_drake.stations.simulation import FINGER_P
 
 HAND_PERIOD = 0.1  # [s] of the hand's status
@@ -70,8 +72,16 @@ class EmulatorConfig:
 
 
 def image_channels(scenario: Scenario) -> dict[str, str]:
-    """Returns the LCM channels of a scenario's cameras, by name."""
-    return {camera: f"TOG_{camera.upper()}" for camera in scenario.cameras}
+    """Returns the LCM channels of the cameras whose images come over LCM, by the cameras' names.
+
+    Raises:
+        InputError: the scenario says nothing of a real robot.
+    """
+    return {
+        name: camera.channel
+        for name, camera in hardware_of(scenario).cameras.items()
+        if isinstance(camera, LcmImages) and camera.channel and name in scenario.cameras
+    }
 
 
 class Emulator:
@@ -82,12 +92,13 @@ class Emulator:
     """
 
     def __init__(self, scenario: Scenario, config: EmulatorConfig):
+        channels = image_channels(scenario)
         self._period = 1 / config.rate
         self._schedule = Schedule(config.faults)
         self._log = EmulatorLog(config.log)
         self._world: Child[Drive | None, WorldState] = Child(EmulatedWorld, scenario, nice=5)
         self._cameras: Child[Scene, None] = Child(
-            EmulatedCameras, scenario, image_channels(scenario), self._schedule, nice=15
+            EmulatedCameras, scenario, channels, self._schedule, nice=15
         )
         try:
             self._cameras.wait()
@@ -102,7 +113,8 @@ class Emulator:
         self._mode: tuple[object, ...] = ()  # as it was written down last
         self._last_tick = self._last_step = time.time()
         self._hand_status_at = self._images_at = self._last_tick
-        self._lcm = make_lcm()  # the first to start a thread: what is forked comes before
+        # The first to start a thread: what is forked comes before.
+        self._lcm = make_lcm(hardware_of(scenario).lcm_url)
         self._lines = {
             channel: FaultyLine(channel, self._schedule, scenario.random_seed)
             for channel in (PANDA_COMMAND, PANDA_STATUS, HAND_COMMAND, HAND_STATUS)
