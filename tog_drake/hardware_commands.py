@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from tog_drake.options import ScenarioText, SeedOption
-from tog_drake.terminal import console_for, say
+from tog_drake.options import JsonOption, ScenarioText, SeedOption
+from tog_drake.terminal import console_for, print_json, say
 
 RealScenarioOption = Annotated[
     str,
@@ -66,3 +66,62 @@ def emulate(
     with Emulator(loaded, config) as emulator:
         say(console_for(as_json=False), f"an emulated robot, {rate:g} Hz (Ctrl-C ends it)")
         emulator.run()
+
+
+@app.command(epilog="Example: tog hardware calibrate --scenario my.yaml --views out/views --live")
+def calibrate(
+    *,
+    scenario: Annotated[
+        str, typer.Option(help="YAML file whose camera is calibrated; its mount is written there.")
+    ],
+    views: Annotated[
+        Path, typer.Option(help="Folder of images and views.json; with --live it is made.")
+    ],
+    live: Annotated[
+        bool, typer.Option("--live", help="Take the views now, the arm moved by hand.")
+    ] = False,
+    camera: Annotated[str, typer.Option(help="Which of the scenario's cameras.")] = "wrist",
+    out: Annotated[
+        Path | None, typer.Option(help="Write a copy of the scenario instead of changing it.")
+    ] = None,
+    board: Annotated[str, typer.Option(help="Squares of the board: COLUMNSxROWS.")] = "7x5",
+    square: Annotated[float, typer.Option(help="[m] side of a square, as measured.")] = 0.04,
+    marker: Annotated[float, typer.Option(help="[m] side of a marker.")] = 0.03,
+    dictionary: Annotated[str, typer.Option(help="Of the markers.")] = "5X5_100",
+    as_json: JsonOption = False,
+) -> None:
+    """Find where the camera sits on the hand, from views of a ChArUco board that stands still."""
+    from tog_drake.hardware.calibrating import calibrate_camera, parse_board
+
+    squares = parse_board(board, square, marker, dictionary)
+    console = console_for(as_json)
+    found = calibrate_camera(
+        scenario,
+        views,
+        squares,
+        camera=camera,
+        out=out,
+        live=live,
+        tell=lambda line: say(console, line),
+    )
+    print_json(as_json, found)
+
+
+@app.command(epilog="Example: tog hardware doctor --scenario panda_lcm")
+def doctor(
+    *,
+    scenario: RealScenarioOption = "panda_lcm",
+    scenario_text: ScenarioText = None,
+    seconds: Annotated[float, typer.Option(min=1.0, max=60.0, help="To listen for.")] = 3.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Check the real robot: drivers, clock, joints, hand, cameras. Nothing is commanded."""
+    from tog_drake.hardware.checks import hardware_checks
+    from tog_drake.scenario import load_scenario
+
+    console = console_for(as_json)
+    checks = hardware_checks(load_scenario(scenario, scenario_text), seconds)
+    for check in checks:
+        say(console, f"{'ok     ' if check.ok else 'PROBLEM'}  {check.name}: {check.found}")
+    print_json(as_json, {check.name: vars(check) for check in checks})
+    raise typer.Exit(0 if all(check.ok for check in checks) else 1)

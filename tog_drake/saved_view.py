@@ -34,7 +34,7 @@ def load_view(
     Raises:
         InputError: saying which file is unusable and why.
     """
-    color = _read_color(rgb)
+    color = read_color(rgb)
     metres = _read_depth(depth, units_per_metre)
     if color.shape[:2] != metres.shape:
         raise InputError(
@@ -56,7 +56,7 @@ def load_intrinsics(path: Path) -> Intrinsics:
     Raises:
         InputError: if a number is missing or makes no sense.
     """
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path} must hold a JSON object with fx, fy, cx, cy, width, height")
     inner = content.get("intrinsics")
@@ -94,7 +94,7 @@ def load_pose(path: Path) -> Array:
     Raises:
         InputError: if it is no rigid transform.
     """
-    content = _read_json(path)
+    content = read_json(path)
     rows = content.get("X_WC") if isinstance(content, dict) else content
     try:
         X = np.array(rows, dtype=np.float64)
@@ -109,7 +109,8 @@ def load_pose(path: Path) -> Array:
     return X
 
 
-def _read_color(path: Path) -> NDArray[np.uint8]:
+def read_color(path: Path) -> NDArray[np.uint8]:
+    """Returns an 8-bit colour image (H, W, 3). Raises InputError: it cannot be used as one."""
     import cv2
 
     _check_file(path)
@@ -171,7 +172,8 @@ def _read_depth(path: Path, units_per_metre: float | None) -> NDArray[np.float32
     return result
 
 
-def _read_json(path: Path) -> Any:
+def read_json(path: Path) -> Any:
+    """Returns what a JSON file says. Raises InputError: it is too large, or no JSON."""
     _check_file(path, MAX_JSON_BYTES)
     try:
         return json.loads(path.read_text(encoding="utf-8"))
