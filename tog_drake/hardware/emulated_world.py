@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, Generic, TypeVar
@@ -120,7 +121,8 @@ class Child(Generic[Asked, Answer]):
     def ask(self, asked: Asked) -> None:
         """Must not be called while it is ``busy``: a full pipe would be waited for."""
         self.busy = True
-        self._pipe.send(asked)
+        with suppress(OSError):  # it is dead, as the end of the pipe will tell
+            self._pipe.send(asked)
 
     def answer(self) -> Answer | None:
         """Returns what came of the last thing asked, once; None as long as it is not there."""
@@ -132,7 +134,7 @@ class Child(Generic[Asked, Answer]):
     def _hear(self) -> Any:
         try:
             answer = self._pipe.recv()
-        except EOFError as error:
+        except (EOFError, OSError) as error:
             self._process.join()
             raise RuntimeError(
                 f"a part of the emulator died, status {self._process.exitcode}"
