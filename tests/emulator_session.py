@@ -118,7 +118,7 @@ def during(wire, raw, name):
         wire.listen(0.02)
         modes.append(wire.arm.newest.robot_mode)
         torques.append(wire.arm.newest.torque_external[3])
-    wire.listen(begin + 1.7 - time.time())
+    assert wire.until(lambda: raw[-1][0] > begin + 1.4)
     after = [read_arm_status(data).robot_mode for at, data in raw if at > begin + 1.3]
     return {
         "messages": len([at for at, _ in raw[seen:] if at < begin + 0.8]),
