@@ -138,13 +138,15 @@ class Emulator:
         """Drives, until it is interrupted."""
         deadline = self._schedule.begin = time.time()
         while True:
-            while (rest := deadline - time.time()) > 0:
-                # It returns with the first message; LCM keeps only one of each channel.
-                self._lcm.HandleSubscriptions(max(1, round(1e3 * rest)))
-                self._carry_out(time.time())
-            self._tick(time.time())
-            # When late, the next period begins now: no burst of messages.
-            deadline = max(deadline, time.time() - self._period) + self._period
+            # It returns with the first message; LCM keeps only one of each channel. When late,
+            # it takes what is there.
+            rest = deadline - time.time()
+            self._lcm.HandleSubscriptions(max(0, round(1e3 * rest)))
+            self._carry_out(time.time())
+            if time.time() >= deadline:
+                self._tick(time.time())
+                # The next period begins now at the earliest: no burst of messages.
+                deadline = max(deadline, time.time() - self._period) + self._period
 
     def _carry_out(self, now: float) -> None:
         """Gives the drivers what came."""
