@@ -1,124 +1,128 @@
+"""Both stations have the same ports, of the same kinds: one takes the place of the other."""
+
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.framework import DiagramBuilder, PortDataType
 
-from tog_drake.errors import InputError
-from tog_drake.scenario import LOOK_POSTURE, load_scenario
+from tog_drake.pipeline import GraspPipeline, connect_to_station
+from tog_drake.planning_model import MakePlanningModel
+from tog_drake.scenario import LOOK_POSTURE, load_scenario, robot_directive
+from tog_drake.stations.hardware import HardwareStation
+from tog_drake.stations.lcm_bus import (
+    HAND_STATUS,
+    PANDA_STATUS,
+    RobotMode,
+    arm_status_message,
+    hand_status_message,
+)
+from tog_drake.stations.lcm_camera import LcmImages
+from tog_drake.stations.panda_lcm import PandaBus
 from tog_drake.stations.simulation import SimulationStation
-from tog_drake.world import build_world
 
-INPUTS = ["panda.position", "hand.position"]
-OUTPUTS = [
-    "panda.position_measured", "panda.velocity_measured", "panda.torque_external",
-    "hand.state_measured", "wrist.rgb_image", "wrist.depth_image", "wrist.X_WC",
-]  # fmt: skip
-CHEATS = ["cheat.body_poses", "cheat.query_object", "cheat.contact_results"]
+HOME = np.array(LOOK_POSTURE)
 
 
 @pytest.fixture(scope="module")
-def world():
-    return build_world(load_scenario("Hammer"))
+def scenario():
+    return load_scenario("panda_lcm")
 
 
-def _inputs(system):
-    return [system.get_input_port(i).get_name() for i in range(system.num_input_ports())]
+@pytest.fixture(scope="module")
+def hardware(scenario):
+    """A hardware station, its drivers having spoken; on no network."""
+    lcm = DrakeLcm("memq://")
+    bus = PandaBus(lcm, clock=lambda: 1.0)
+    feeds = {"wrist": LcmImages("TOG_WRIST").open(lcm, scenario.cameras["wrist"].camera_config())}
+    status = arm_status_message(HOME, np.zeros(7), np.arange(7.0), RobotMode.MOVE, 1_000_000)
+    lcm.Publish(PANDA_STATUS, status)
+    lcm.Publish(HAND_STATUS, hand_status_message(0.05, 0.0, 1_000_000))
+    for _ in range(5):
+        lcm.HandleSubscriptions(0)
+    return HardwareStation(scenario, bus=bus, feeds=feeds)
 
 
-def _outputs(system):
-    return [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
+@pytest.fixture(scope="module")
+def simulated(scenario):
+    return SimulationStation(scenario)
 
 
-def test_the_station_has_the_ports_of_a_panda_and_says_which_cheat(world):
-    assert _inputs(world.station) == INPUTS
-    assert _outputs(world.station) == OUTPUTS + CHEATS
+def inputs(system):
+    ports = (system.get_input_port(i) for i in range(system.num_input_ports()))
+    return {port.get_name(): _kind(port) for port in ports}
 
 
-def test_both_ends_of_every_connection_carry_the_same_type(world):
-    for diagram in (world.diagram, world.pipeline):
-        for (reader, i), (writer, o) in diagram.connection_map().items():
-            read, written = reader.get_input_port(i), writer.get_output_port(o)
-            assert read.get_data_type() == written.get_data_type(), read.GetFullDescription()
-            if hasattr(reader, "DeclareAbstractInputPort"):  # a stage, not a diagram
-                expected = type(reader.AllocateInputAbstract(read).get_value())
-                given = type(written.Allocate().get_value())
-                assert issubclass(given, expected), read.GetFullDescription()
+def outputs(system):
+    ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
+    return {port.get_name(): _kind(port) for port in ports}
 
 
-def test_only_the_oracle_is_given_ground_truth(world):
-    assert not any(name.startswith("cheat") for name in _inputs(world.pipeline))
-    oracle = build_world(load_scenario("Hammer", "pipeline: {selector: !Oracle {}}"))
-    assert "cheat.query_object" in _inputs(oracle.pipeline)
+def _kind(port):
+    if port.get_data_type() == PortDataType.kVectorValued:
+        return port.size()
+    if hasattr(port, "Allocate"):
+        return type(port.Allocate().get_value()).__name__
+    return "abstract"
 
 
-def test_nothing_feeds_through_from_perception_to_the_command(world):
-    pipeline = world.pipeline
-    for image in ("wrist.rgb_image", "wrist.depth_image", "wrist.X_WC", "task"):
-        for command in INPUTS:
-            assert not pipeline.HasDirectFeedthrough(
-                pipeline.GetInputPort(image).get_index(),
-                pipeline.GetOutputPort(command).get_index(),
-            )
+def test_the_ports_of_both_stations_are_equal_but_for_the_cheats(simulated, hardware):
+    real = {n: kind for n, kind in outputs(simulated).items() if not n.startswith("cheat.")}
+    assert outputs(hardware) == real
+    assert inputs(hardware) == inputs(simulated)
+    assert "cheat.body_poses" in outputs(simulated)
 
 
-def test_the_arm_follows_a_fast_command_to_a_few_milliradians():
-    scenario = load_scenario("Hammer")
-    scenario.cameras = {}
-    station = SimulationStation(scenario)
-    simulator = Simulator(station)
-    context = simulator.get_mutable_context()
-    start = np.array(LOOK_POSTURE)
-    station.GetInputPort("hand.position").FixValue(context, [0.08])
-    command = station.GetInputPort("panda.position").FixValue(context, start)
+def test_what_is_measured_is_what_the_drivers_said(hardware, simulated):
+    from pydrake.systems.analysis import Simulator
+
+    simulator = Simulator(hardware)
+    hardware.GetInputPort("panda.position").FixValue(simulator.get_mutable_context(), HOME)
+    hardware.GetInputPort("hand.position").FixValue(simulator.get_mutable_context(), [0.08])
     simulator.Initialize()
-    worst, swing = 0.0, np.array([0.5, 0.2, 0.0, 0.2, 0.0, 0.0, 0.5])
-    for t in np.arange(0.0, 1.0, 0.005):
-        q = start + swing * (1 - np.cos(np.pi * t)) / 2
-        command.GetMutableData().get_mutable_value().SetFromVector(q)
-        simulator.AdvanceTo(t + 0.005)
-        measured = station.GetOutputPort("panda.position_measured").Eval(context)
-        worst = max(worst, np.abs(measured - q).max())
-    assert worst < 0.01
-
-
-def test_the_hand_closes_evenly_and_stops_at_nothing():
-    scenario = load_scenario("Hammer")
-    scenario.cameras = {}
-    station = SimulationStation(scenario)
-    simulator = Simulator(station)
-    context = simulator.get_mutable_context()
-    station.GetInputPort("panda.position").FixValue(context, LOOK_POSTURE)
-    station.GetInputPort("hand.position").FixValue(context, [-0.02])
-    simulator.AdvanceTo(1.0)
-    opening, speed = station.GetOutputPort("hand.state_measured").Eval(context)
-    assert abs(opening) < 0.003
-    assert abs(speed) < 0.01
-    hand = station.plant.GetModelInstanceByName("hand")
-    left, right = station.plant.GetPositions(station.plant.GetMyContextFromRoot(context), hand)
-    assert left == pytest.approx(right, abs=1e-4)
-
-
-def test_cameras_see_the_arm_move_and_contact_does_not_pay_for_it():
-    """The scene that contact asks in every step draws nothing; the cameras have their own."""
-    side = "X_PB: {translation: [0.5, 0, 1.5], rotation: !Rpy {deg: [180, 0, 0]}}"
-    text = f"cameras: {{top: !CameraConfig {{width: 64, height: 48, {side}}}}}"
-    station = SimulationStation(load_scenario("Hammer", text))
-    assert station.scene_graph.RendererCount() == 0
-    context = station.CreateDefaultContext()
-    image = station.GetOutputPort("top.rgb_image")
-    before = image.Eval(context).data.copy()
-    panda = station.plant.GetModelInstanceByName("panda")
-    station.plant.SetPositions(
-        station.plant.GetMyMutableContextFromRoot(context), panda, np.array(LOOK_POSTURE) + 0.3
+    context = simulator.get_context()
+    assert hardware.GetOutputPort("panda.position_measured").Eval(context) == pytest.approx(HOME)
+    torque = hardware.GetOutputPort("panda.torque_external").Eval(context)
+    assert torque == pytest.approx(np.arange(7.0))
+    assert hardware.GetOutputPort("hand.state_measured").Eval(context) == pytest.approx([0.05, 0])
+    # The camera is where the simulated one is: the arm stands in the same posture.
+    X_WC, X_WC_simulated = (
+        station.GetOutputPort("wrist.X_WC").Eval(c).GetAsMatrix4()
+        for station, c in (
+            (hardware, context),
+            (simulated, simulated.CreateDefaultContext()),
+        )
     )
-    after = image.Eval(context).data
-    assert (before != after).any(axis=2).mean() > 0.02
-    again = station.CreateDefaultContext()
-    np.testing.assert_array_equal(image.Eval(again).data, before)
+    np.testing.assert_allclose(X_WC, X_WC_simulated, atol=1e-9)
 
 
-def test_a_camera_with_unaligned_depth_is_refused():
-    text = (
-        "cameras: {side: !CameraConfig {width: 64, height: 48, X_BD: {translation: [0.1, 0, 0]}}}"
-    )
-    with pytest.raises(InputError, match="colour and depth must be aligned"):
-        SimulationStation(load_scenario("Hammer", text))
+def test_one_pipeline_fits_both(scenario, simulated, hardware):
+    feed = hardware.feeds["wrist"]
+    assert feed.GetOutputPort("stamp").size() == 1
+    for station in (SimulationStation(scenario), hardware):
+        model = MakePlanningModel([robot_directive(scenario), *scenario.planning_directives])
+        camera = LcmImages("X").open(DrakeLcm("memq://"), scenario.cameras["wrist"].camera_config())
+        pipeline = GraspPipeline(
+            scenario.pipeline,
+            cameras={"wrist": camera.intrinsics},
+            planning_model=model,
+            seed=0,
+        )
+        builder = DiagramBuilder()
+        builder.AddSystem(station)
+        builder.AddSystem(pipeline)
+        connect_to_station(builder, station, pipeline)
+        diagram = builder.Build()
+        assert diagram.HasInputPort("task")
+        for output, inputs_ in _connections(diagram).items():
+            assert all(kind == output[1] for kind in inputs_), output
+
+
+def _connections(diagram):
+    """(output's name, kind) -> kinds of the inputs it feeds, where they have a value."""
+    found = {}
+    for (system, index), (source, port) in diagram.connection_map().items():
+        output = source.get_output_port(port)
+        key = output.get_name(), _kind(output)
+        if system.get_input_port(index).get_data_type() == PortDataType.kVectorValued:
+            found.setdefault(key, []).append(system.get_input_port(index).size())
+    return found

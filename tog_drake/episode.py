@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context
 
 from tog_drake.cameras import noise_of
 from tog_drake.decision import Decision, decide
-from tog_drake.errors import InputError, NoFeasibleGrasp
+from tog_drake.errors import InputError, NoFeasibleGrasp, Stopped
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.judge import COMPLIANT_SHARE, HOLD, LIFT, Judge, Verdict, complies
 from tog_drake.look_planning import Once
@@ -136,7 +136,11 @@ def _run(
         execution = None if kept is None else kept.execution(decision)
         if execution is None:
             started = time.perf_counter()
-            state = _execute(simulator, world, judge)
+            try:
+                state = _execute(simulator, world, judge)
+            except Stopped as error:
+                decision.error = error
+                return course
             course.wall += time.perf_counter() - started
             course.attempts[-1]["opening"] = state.opening_after
             if state.phase is Phase.OBSERVE:

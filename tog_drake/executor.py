@@ -19,6 +19,7 @@ from pydrake.trajectories import Trajectory
 
 from tog_drake.errors import InputError, NoPlan
 from tog_drake.panda import A_MAX, J_MAX, MAX_OPENING, Q_LOWER, Q_UPPER, V_MAX
+from tog_drake.safety import SafetyConfig, check_motion, check_start
 from tog_drake.time_parameterization import JointLimits, come_to_rest
 from tog_drake.values import Array, CameraView, GraspMotion, Grasps, NextLook
 
@@ -31,6 +32,7 @@ class ExecutorConfig:
     period: float = 0.01  # [s] of the executor's update
     max_tracking_error: float = 0.15  # [rad] measured against commanded; beyond it, stop
     empty_opening: float = 0.002  # [m] closed further than this after the hold, it holds nothing
+    speed: float = 1.0  # of the planned motion's, above 0 to 1; 0.5 takes twice as long
 
 
 class Phase(Enum):
@@ -105,9 +107,18 @@ class GraspExecutor(LeafSystem):
     Raises:
         NoPlan: in the update, if the motion does not start where the arm is: to command it would
             be a jump.
+        Stopped: in the update, if ``safety`` is given and all of the motion is not inside it, or
+            the arm is no longer where it begins when it is to begin.
     """
 
-    def __init__(self, config: ExecutorConfig, *, retries: int = 0, max_looks: int = 0):
+    def __init__(
+        self,
+        config: ExecutorConfig,
+        *,
+        retries: int = 0,
+        max_looks: int = 0,
+        safety: SafetyConfig | None = None,
+    ):
         super().__init__()
         # At time 0 it would look while the simulator initializes, before anybody else can.
         if min(config.period, config.look_time, config.max_tracking_error) <= 0:
@@ -115,11 +126,14 @@ class GraspExecutor(LeafSystem):
                 f"executor: period ({config.period}), look_time ({config.look_time}) and "
                 f"max_tracking_error ({config.max_tracking_error}) must be above 0"
             )
+        if not 0 < config.speed <= 1:
+            raise InputError(f"executor: speed is {config.speed:g}; valid: above 0 to 1")
         if retries < 0:
             raise InputError(f"retries is {retries}; valid: 0 or more")
         self._config = config
         self._retries = retries
         self._max_looks = max_looks
+        self._safety = safety
         self._look_time = self._on_grid(config.look_time)
         self._motion = self.DeclareAbstractInputPort("motion", Value(GraspMotion.still()))
         self._measured = self.DeclareVectorInputPort("panda.position_measured", 7)
@@ -206,23 +220,36 @@ class GraspExecutor(LeafSystem):
         look: NextLook = deepcopy(self._next_look.Eval(context))
         if look.motion is None:
             return None
-        self._require_start(look.motion, self._measured.Eval(context))
-        return look
+        return replace(look, motion=self._accepted(look.motion, context))
 
     def _next(self, s: ExecutorState, context: Context) -> ExecutorState:
         t = context.get_time()
         if s.q_hold is None:
             s = replace(s, q_hold=self._measured.Eval(context).copy(), opening_hold=MAX_OPENING)
         if s.phase is Phase.OBSERVE and t >= s.look_at:
-            motion = deepcopy(self._motion.Eval(context))
-            self._require_start(motion, self._measured.Eval(context))
+            motion = self._accepted(deepcopy(self._motion.Eval(context)), context)
             return replace(_holding(s, motion, 0.0), phase=Phase.READY, motion=motion)
         if s.phase is Phase.READY:
             phase = Phase.MOVE if s.next_look is None else Phase.LOOK
-            return replace(s, phase=phase, start_time=t)
+            s = replace(s, phase=phase, start_time=t)
+            if self._safety is not None:  # a person may have thought about it for a minute
+                check_start(_played(s, t)[0], self._measured.Eval(context), self._safety)
+            return s
         if s.phase in _PLAYING:
             return self._watch(s, context)
         return s
+
+    def _accepted(self, motion: GraspMotion, context: Context) -> GraspMotion:
+        """Returns the motion as it is played."""
+        q_measured = self._measured.Eval(context)
+        self._require_start(motion, q_measured)
+        motion = motion.slowed(self._config.speed)
+        if self._safety is not None:
+            check_motion(motion, q_measured, self._safety)
+            if motion.retreat is not None:
+                end = motion.arm.value(motion.duration).ravel()
+                check_motion(motion.retreat, end, self._safety)
+        return motion
 
     def _require_start(self, motion: GraspMotion, q_measured: Array) -> None:
         away = np.abs(motion.arm.value(0.0).ravel() - q_measured).max()

@@ -27,6 +27,7 @@ from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, make_
 from tog_drake.proposers.file import File, FileProposer
 from tog_drake.proposers.plugin import Plugin, PluginProposer
 from tog_drake.proposers.remote import Remote, RemoteProposer
+from tog_drake.safety import SafetyConfig
 from tog_drake.selector import GraspSelector, Selector
 from tog_drake.selectors.baselines import Random, RandomSelector, TopScore, TopScoreSelector
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
@@ -152,6 +153,7 @@ class GraspPipeline(Diagram):
         planning_model: PlanningModel,
         seed: int,
         ground_truth: GroundTruth | None = None,
+        safety: SafetyConfig | None = None,
     ):
         super().__init__()
         self.cameras = used_cameras(config, cameras)
@@ -162,6 +164,7 @@ class GraspPipeline(Diagram):
             config.executor,
             retries=config.retries,
             max_looks=0 if active is None else active.max_looks,
+            safety=safety,
         )
         self.proposer = make_proposer(config, seed)
         # The looks of an active one make the cloud together, with one camera or several.

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.trajectories import PiecewisePolynomial, Trajectory
+from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomial, Trajectory
 from typing_extensions import Self
 
 Array = NDArray[np.float64]
@@ -236,6 +236,21 @@ class GraspMotion:
     grasp: Grasps = field(default_factory=Grasps.empty)  # that row, N = 1
     retreat: "GraspMotion | None" = None
     """From its end back to its start, with the hand open: the way to another look."""
+
+    def slowed(self, speed: float) -> "GraspMotion":
+        """Returns the same motion at ``speed`` times its own, above 0; at 1 itself."""
+        if speed == 1.0:
+            return self
+        duration = self.duration / speed
+        clock = PiecewisePolynomial.FirstOrderHold([0.0, duration], [[0.0, self.duration]])
+        return replace(
+            self,
+            arm=PathParameterizedTrajectory(self.arm, clock),
+            hand=PathParameterizedTrajectory(self.hand, clock),
+            duration=duration,
+            phase_times={phase: t / speed for phase, t in self.phase_times.items()},
+            retreat=None if self.retreat is None else self.retreat.slowed(speed),
+        )
 
     @staticmethod
     def still() -> "GraspMotion":

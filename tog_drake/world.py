@@ -72,6 +72,7 @@ def build_world(
         planning_model=planning_model,
         seed=scenario.random_seed,
         ground_truth=GroundTruth(labels, target),
+        safety=None if scenario.hardware is None else scenario.hardware.safety,
     )
     builder = DiagramBuilder()
     builder.AddSystem(station)
