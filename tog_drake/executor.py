@@ -179,6 +179,11 @@ class GraspExecutor(LeafSystem):
         """
         return self._look_time
 
+    @property
+    def empty_opening(self) -> float:
+        """Closed further than this [m], the hand holds nothing."""
+        return self._config.empty_opening
+
     def state(self, context: Context) -> ExecutorState:
         """Returns what the executor remembers in its own ``context``."""
         value: ExecutorState = context.get_abstract_state(int(self._state)).get_value()

@@ -5,8 +5,18 @@ from typing import Annotated
 
 import typer
 
-from tog_drake.options import JsonOption, ScenarioText, SeedOption
-from tog_drake.terminal import console_for, print_json, say
+from tog_drake.options import (
+    JsonOption,
+    KOption,
+    ProposerOptions,
+    ScenarioText,
+    SeedOption,
+    SelectorOptions,
+    TaskOption,
+    put_k,
+)
+from tog_drake.spread import spread
+from tog_drake.terminal import console_for, print_json, print_stages, say
 
 RealScenarioOption = Annotated[
     str,
@@ -125,3 +135,71 @@ def doctor(
         say(console, f"{'ok     ' if check.ok else 'PROBLEM'}  {check.name}: {check.found}")
     print_json(as_json, {check.name: vars(check) for check in checks})
     raise typer.Exit(0 if all(check.ok for check in checks) else 1)
+
+
+@app.command(epilog='Example: tog hardware run --task "hand me the hammer" --speed 0.05')
+@spread()
+def run(
+    *,
+    task: TaskOption,
+    scenario: RealScenarioOption = "panda_lcm",
+    scenario_text: ScenarioText = None,
+    selector: SelectorOptions,
+    proposer: ProposerOptions,
+    k: KOption = None,
+    seed: SeedOption = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Of the planned motion's, up to 1; by default that of the scenario."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Look and decide; never send one message.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Folder for episode.json and report.html.")] = Path(
+        "out/hardware"
+    ),
+    meshcat: Annotated[
+        bool, typer.Option(help="Show it live on localhost, with a STOP button.")
+    ] = True,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one episode on a real robot. Exit 0: lifted (or a dry run that chose); 1: not; 2: bad
+    input. Ctrl-C stops the arm."""
+    from tog_drake.files import check_folder
+    from tog_drake.hardware.asking import asked
+    from tog_drake.hardware.config import hardware_of
+    from tog_drake.hardware.episode import run_hardware_episode
+    from tog_drake.record import save_record
+    from tog_drake.report import write_report
+    from tog_drake.scenario import load_scenario
+    from tog_drake.showing import report_of, show_live
+    from tog_drake.task import read_task
+
+    console = console_for(as_json)
+    check_folder(out)
+    read_task(task)  # a task without words is refused before anything starts
+    loaded = load_scenario(scenario, scenario_text, seed=seed)
+    selector.apply(loaded.pipeline, fallback="geometric")
+    proposer.apply(loaded.pipeline)
+    put_k(loaded.pipeline, k)
+    config = hardware_of(loaded)
+    config.speed = config.speed if speed is None else speed
+    live = show_live(console) if meshcat else None
+    episode = run_hardware_episode(
+        loaded,
+        name=scenario,
+        task=task,
+        ask=lambda decision, listen: (
+            yes or asked(decision, listen, speed=config.speed, meshcat=live)
+        ),
+        dry_run=dry_run,
+        meshcat=live,
+    )
+    save_record(out / "episode.json", episode.record)
+    write_report(out / "report.html", [report_of(episode)])
+    print_stages(console, episode.record)
+    say(console, f"report: {out / 'report.html'}")
+    print_json(as_json, episode.record)
+    wanted = "chosen" if dry_run else "lifted"
+    raise typer.Exit(0 if episode.record["outcome"] == wanted else 1)

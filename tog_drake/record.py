@@ -92,6 +92,17 @@ class AttemptRecord(TypedDict):
     message: str | None  # why it ended without a motion
 
 
+class HardwareRecord(TypedDict):
+    """What only a real robot has to tell. There success is judged by the hand's width alone."""
+
+    speed: float  # of the planned motion's
+    rule: str | None  # of safety, that stopped it or kept it from moving
+    opening_closed: float | None  # [m] between the pads when the lift began
+    opening_after: float | None  # [m] after the hold
+    force: float | None  # [N] of the fingers at the end; null: the driver reports none
+    late: float | None  # [s] the most that a command was late; null: it did not move
+
+
 class EpisodeRecord(TypedDict):
     """One episode, or one choice on a saved view (then what needs a robot is null)."""
 
@@ -144,6 +155,7 @@ class EpisodeRecord(TypedDict):
     """Wall time; null: did not run; decide = cloud .. plan. What an episode of a benchmark shares
     with others took so long when it was computed."""
     sim: dict[str, float | None]  # seconds (simulated), real_time_rate (of the execution)
+    hardware: HardwareRecord | None  # null: simulated, or a saved view
 
 
 OUTCOMES = {
@@ -161,7 +173,7 @@ OUTCOMES = {
     "no_image": "a real camera brought no image, or an old one",
     "stopped": "a rule of safety or a person stopped the real arm",
     "broken": "the program failed; traceback.txt beside it says where",
-    "chosen": "a grasp was chosen on a saved view; nothing was executed",
+    "chosen": "a grasp was chosen; nothing was executed: a saved view, or nobody said yes",
 }
 
 
@@ -222,6 +234,7 @@ def new_record(
         motion=_motion_record(decision),
         seconds=seconds,
         sim={"seconds": None, "real_time_rate": None},
+        hardware=None,
     )
 
 
