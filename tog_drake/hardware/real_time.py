@@ -1,17 +1,16 @@
 """Lets a Diagram run with the wall clock, in steps of the commands' period."""
 
+import gc
 import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from pydrake.geometry import Meshcat
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
-from tog_drake.safety import PERIOD, SafetyConfig, StopReason, braked, limits_of
-from tog_drake.stations.hardware import HardwareStation
-from tog_drake.stations.panda_lcm import PandaBus
+from tog_drake.hardware.connection import Robot
+from tog_drake.safety import PERIOD, StopReason, braked, limits_of
 
 STOP_BUTTON = "STOP"
 _HAND_AGE = 1.0  # [s] the hand's driver speaks ten times a second
@@ -26,32 +25,15 @@ class RealTime:
     on an arm would be a jump. Being late while the arm moves is itself a reason to stop.
 
     Args:
-        simulator: of the whole Diagram, its time at 0.
-        station: in it.
-        bus: to the drivers.
-        lcm: where they are heard.
-        camera_lcm: where cameras are heard; not while the arm moves, for images are large.
-        safety: what is too late.
-        meshcat: where the STOP button is, if anywhere.
+        simulator: of the robot's Diagram, its time at 0.
+        robot: it.
+        meshcat: where there is a STOP button while the arm moves, if anywhere.
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        station: HardwareStation,
-        bus: PandaBus,
-        *,
-        lcm: DrakeLcm,
-        camera_lcm: DrakeLcm,
-        safety: SafetyConfig,
-        meshcat: Meshcat | None = None,
-    ):
+    def __init__(self, simulator: Simulator, robot: Robot, meshcat: Meshcat | None = None):
         self.late = 0.0  # [s] the most that it was while the arm moved
         self._simulator = simulator
-        self._station = station
-        self._bus = bus
-        self._lcm, self._camera_lcm = lcm, camera_lcm
-        self._safety = safety
+        self._robot = robot
         self._meshcat = meshcat
 
     @property
@@ -63,29 +45,32 @@ class RealTime:
         """Advances to the time ``until`` [s], the arm standing still."""
         self._run(lambda: self.time >= until - 1e-9, moving=False)
 
-    def move(self, done: Callable[[], bool], longest: float) -> None:
-        """Advances until ``done``, or until it was stopped.
+    def move(self, ended: Callable[[], bool], longest: float) -> None:
+        """Lets the arm be commanded until ``ended``, or until it was stopped.
 
-        Ctrl-C stops the arm, as does the STOP button. Whatever is raised, the arm is brought to
-        rest before it goes on.
+        Ctrl-C stops it, as does the STOP button. Whatever is raised, the arm is brought to rest
+        before that goes on.
 
         Args:
-            done: whether the motion has ended.
+            ended: whether the motion has.
             longest: [s] of wall time after which it is stopped.
         """
-        guard, operator = self._station.guard, self._station.operator
-        context = guard.GetMyContextFromRoot(self._simulator.get_context())
-        end = time.monotonic() + longest
+        operator, context = self._robot.station.operator, self._simulator.get_context()
 
-        def ended() -> bool:
+        def ended_or_stopped() -> bool:
             if time.monotonic() > end:
                 operator.stop(StopReason.DEADLINE, f"the motion took longer than {longest:.0f} s")
-            state = guard.state(context)
-            return done() if state.broken is None else not state.commands
+            guarded = self._robot.guarded(context)
+            return ended() if guarded.broken is None else not guarded.commands
 
-        with self._stopped_by_signals():
+        with self._stoppable():
+            self.catch_up()
+            # The executor first takes over the motion: the first command is where that begins.
+            self.stand(self.time + PERIOD)
+            operator.arm()
+            end = time.monotonic() + longest
             try:
-                self._run(ended, moving=True)
+                self._run(ended_or_stopped, moving=True)
             except BaseException:
                 self._brake()
                 raise
@@ -104,7 +89,8 @@ class RealTime:
 
     def listen(self, *, cameras: bool = True) -> None:
         """Takes in what has come."""
-        for lcm in (self._lcm, self._camera_lcm) if cameras else (self._lcm,):
+        robot = self._robot
+        for lcm in (robot.lcm, robot.camera_lcm) if cameras else (robot.lcm,):
             for _ in range(_MESSAGES):
                 if lcm.HandleSubscriptions(0) == 0:
                     break
@@ -115,42 +101,52 @@ class RealTime:
         LCM keeps the *first* message that came while nobody listened.
         """
         end = time.monotonic() + _PATIENCE
-        while self._bus.arm.age() > self._safety.status_age / 2 and time.monotonic() < end:
+        while (
+            self._robot.bus.arm.age() > self._robot.safety.status_age / 2 and time.monotonic() < end
+        ):
             self.listen()
             time.sleep(PERIOD)
 
     def _watch(self, late: float) -> None:
         """Stops the arm for what is seen from outside the Diagram."""
         self.late = max(self.late, late)
-        operator = self._station.operator
-        if late > self._safety.stall:
+        operator = self._robot.station.operator
+        if late > self._robot.safety.stall:
             operator.stop(StopReason.STALLED, f"this program was {late:.2f} s late")
         if self._meshcat is not None and self._meshcat.GetButtonClicks(STOP_BUTTON) > 0:
             operator.stop(StopReason.OPERATOR, "the STOP button")
-        if (age := self._bus.hand.age()) > _HAND_AGE:
+        if (age := self._robot.bus.hand.age()) > _HAND_AGE:
             operator.stop(StopReason.STALE_STATUS, f"the hand's status is {age:.1f} s old")
 
     @contextmanager
-    def _stopped_by_signals(self) -> Iterator[None]:
+    def _stoppable(self) -> Iterator[None]:
+        """Ctrl-C and the STOP button stop the arm; the garbage collector does not make it late."""
+
         def stop(signum: int, frame: object) -> None:
-            self._station.operator.stop(StopReason.OPERATOR, signal.Signals(signum).name)
+            self._robot.station.operator.stop(StopReason.OPERATOR, signal.Signals(signum).name)
 
         before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
+        if self._meshcat is not None:
+            self._meshcat.AddButton(STOP_BUTTON, "Escape")
+        gc.collect()
+        gc.freeze()  # or it would go through the whole program while the arm moves
         try:
             yield
         finally:
+            gc.unfreeze()
+            if self._meshcat is not None:
+                self._meshcat.DeleteButton(STOP_BUTTON)
             for each, handler in before.items():
                 signal.signal(each, handler)
 
     def _brake(self) -> None:
         """Brings the arm to rest without the Diagram, which has failed."""
-        guard = self._station.guard
-        state = guard.state(guard.GetMyContextFromRoot(self._simulator.get_context()))
-        last, limits = state.commanded, limits_of(self._safety)
-        self._station.operator.stop(StopReason.OPERATOR, "this program failed")
+        state = self._robot.guarded(self._simulator.get_context())
+        last, limits = state.commanded, limits_of(self._robot.safety)
+        self._robot.station.operator.stop(StopReason.OPERATOR, "this program failed")
         if not state.commands or last is None:
             return
         while last.v.any() or last.a.any():
             last = braked(last, limits)
-            self._bus.command_arm(last.q)
+            self._robot.bus.command_arm(last.q)
             time.sleep(PERIOD)

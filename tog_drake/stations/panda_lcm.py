@@ -35,6 +35,7 @@ from tog_drake.stations.lcm_bus import (
 from tog_drake.values import Array
 
 UNCHANGED = 0.02  # [s] an opening that was asked for so long is what is wanted: no ramp is sent
+REPEAT = 0.1  # [s] between two messages to the hand
 _SAME = 1e-4  # [m] openings this close are one
 _OPEN = 0.002  # [m] a hand so close to an opening is open enough
 _REMEMBERED = 1000  # of the commands sent: 5 s
@@ -192,7 +193,8 @@ class HandCommand(LeafSystem):
     has stayed the same for ``UNCHANGED``. And the driver grasps, whatever the width, when it is
     told to go to a narrower one than now: so it is told to open, where it is not open already, or
     to close until something resists (an opening of 0 or below), and nothing between: before a grasp
-    the hand stays wider open than planned.
+    the hand stays wider open than planned. What it was told it is told again and again, which the
+    driver ignores: a single message may be lost among those of the cameras.
 
     Args:
         bus: to the driver.
@@ -203,30 +205,30 @@ class HandCommand(LeafSystem):
         super().__init__()
         self._bus = bus
         self._force = force
-        # Asked for last [m], since when [s], sent last [m]; NaN: nothing yet.
+        # Asked for last [m], since when [s], told last [m]; NaN: nothing yet.
         self._state = self.DeclareDiscreteState([np.nan, 0.0, np.nan])
         self._guarded = self.DeclareAbstractInputPort("guarded", Value(GuardState()))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._note)
-        self.DeclarePeriodicPublishEvent(PERIOD, 0.0, self._send)
+        self.DeclarePeriodicPublishEvent(REPEAT, 0.0, self._send)
 
     def _note(self, context: Context, state: DiscreteValues) -> EventStatus:
-        asked, since, sent = context.get_discrete_state(self._state).value()
-        opening = self._opening(context)
-        if due(asked, since, sent, context.get_time()):
-            sent = asked
+        asked, since, told = context.get_discrete_state(self._state).value()
+        opening, now = self._opening(context), self._bus.hand.newest
         if opening is None:
             asked, since = np.nan, 0.0
         elif not abs(opening - asked) < _SAME:
             asked, since = opening, context.get_time()
-        state.set_value(int(self._state), [asked, since, sent])
+        elif due(asked, since, told, context.get_time()) and (
+            asked == 0.0 or now is None or now.opening < asked - _OPEN
+        ):
+            told = asked
+        state.set_value(int(self._state), [asked, since, told])
         return EventStatus.Succeeded()
 
     def _send(self, context: Context) -> EventStatus:
-        asked, since, sent = context.get_discrete_state(self._state).value()
-        if due(asked, since, sent, context.get_time()) and self._opening(context) is not None:
-            now = self._bus.hand.newest
-            if asked == 0.0 or now is None or now.opening < asked - _OPEN:
-                self._bus.command_hand(asked, self._force)
+        told = context.get_discrete_state(self._state).value()[2]
+        if np.isfinite(told) and self._opening(context) is not None:
+            self._bus.command_hand(told, self._force)
         return EventStatus.Succeeded()
 
     def _opening(self, context: Context) -> float | None:
@@ -237,10 +239,10 @@ class HandCommand(LeafSystem):
         return min(max(guarded.opening, 0.0), MAX_OPENING)
 
 
-def due(asked: float, since: float, sent: float, now: float) -> bool:
-    """Whether the opening ``asked`` [m] for since then [s] is to be sent, after ``sent`` [m]."""
+def due(asked: float, since: float, told: float, now: float) -> bool:
+    """Whether a hand that was told ``told`` [m] is to be told what is asked for since then [s]."""
     if not np.isfinite(asked) or now - since < UNCHANGED - 1e-9:
         return False
-    if np.isnan(sent):
+    if np.isnan(told):
         return True
-    return asked > sent + _SAME or (asked <= 0.0 < sent)
+    return asked > told + _SAME or asked <= 0.0 < told

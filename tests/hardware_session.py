@@ -1,0 +1,132 @@
+"""``tog hardware run`` against an emulated robot; prints, as JSON, what came of it.
+
+python hardware_session.py lifted|stopped|program FOLDER
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from emulated_robot import emulated_robot
+
+from tog_drake.panda import V_MAX
+from tog_drake.resources import resource_dir
+from tog_drake.safety import PERIOD
+
+TASK = "hand me the hammer"
+SEED = 0
+# A busy computer makes everything late. What is judged here is where the arm goes, not when.
+PATIENT = """{
+  hardware: {safety: {status_age: 2.0, image_age: 5.0, stall: 2.0, tracking_error: 0.5}},
+  pipeline: {executor: {max_tracking_error: 0.5}, trajectory: {settle_time: 2.0}}
+}"""
+
+
+def hardware_run(folder, *options, said=None, while_running=None):
+    """Runs the command; returns its exit status, its record, and what it wrote on stderr."""
+    command = [sys.executable, "-m", "tog_drake.cli", "hardware", "run", "--task", TASK]
+    command += ["--seed", str(SEED), "--out", str(folder), "--no-meshcat", "--json", *options]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        if while_running:
+            while_running(process)
+        out, err = process.communicate(said, timeout=120)
+    record = json.loads(out.splitlines()[-1]) if out.strip() else None
+    return {"status": process.returncode, "record": record, "err": err[-2000:]}
+
+
+def sent(wire):
+    """How many messages came on the command channels."""
+    return len(wire.logged("command")) + len(wire.logged("hand_command"))
+
+
+def commanded(wire):
+    """How the commands that arrived leap, against what the joints may do, and where they begin."""
+    commands = wire.logged("command")
+    q, t = (np.array([c[k] for c in commands], dtype=float) for k in ("q", "utime"))
+    measured = [m for m in wire.logged("measured") if m["time"] <= commands[0]["time"]][-1]
+    dt = np.maximum(np.diff(t) / 1e6, PERIOD)[:, None]
+    v = np.vstack([np.zeros(7), np.diff(q, axis=0) / dt])
+    return {
+        "commands": len(commands),
+        "first": float(np.abs(q[0] - measured["q"]).max()),
+        "fastest": float((np.abs(v) / V_MAX).max()),
+        "discontinuity": float((np.abs(np.diff(v, axis=0)) / V_MAX).max()),
+        "refused": [v["verdict"] for v in wire.logged("verdict") if v["verdict"] != "expired"],
+    }
+
+
+def stillness(wire, seconds):
+    """How far the arm moves [rad] in that time, and how many commands come."""
+    wire.listen(0.5)  # nobody has, while the command ran
+    before, q = sent(wire), wire.arm.newest.q
+    wire.listen(seconds)
+    return float(np.abs(wire.arm.newest.q - q).max()), sent(wire) - before
+
+
+def lifted(folder):
+    with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
+        patient = ("--scenario-text", PATIENT)
+        told = {"dry": hardware_run(folder / "dry", "--dry-run", *patient)}
+        told["dry_sent"] = sent(wire)
+        told["no"] = hardware_run(folder / "no", *patient, said="n\n")
+        told["no_sent"] = sent(wire)
+        told["run"] = hardware_run(folder / "run", "--yes", "--speed", "0.5", *patient)
+        assert told["run"]["status"] == 0, told["run"]
+        told["commanded"] = commanded(wire)
+        told["hand"] = [
+            c["verdict"] for c in wire.logged("hand_command") if c["verdict"] != "ignored"
+        ]
+        told["files"] = sorted(path.name for path in (folder / "run").iterdir())
+    return told
+
+
+def stopped(folder):
+    with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
+
+        def interrupt(process):
+            home = wire.arm.newest.q
+            assert wire.until(lambda: np.abs(wire.arm.newest.q - home).max() > 0.05)
+            process.send_signal(signal.SIGINT)
+
+        options = ("--yes", "--speed", "0.25", "--scenario-text", PATIENT)
+        told = {"run": hardware_run(folder / "run", *options, while_running=interrupt)}
+        told["commanded"] = commanded(wire)
+        told["still"] = stillness(wire, 1.0)
+        return told
+
+
+def program(folder):
+    """The program in diagrams, as a user runs it."""
+    with emulated_robot(folder, "--seed", str(SEED)) as wire:
+        source = (resource_dir("diagrams") / "hardware.py").read_text()
+        patient = source.replace('"panda_lcm")', f'"panda_lcm", {PATIENT!r})')
+        assert patient != source
+        done = subprocess.run(
+            [sys.executable, "-c", patient, TASK],
+            input="n\n",
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=False,
+        )
+        return {"status": done.returncode, "out": done.stdout, "err": done.stderr[-2000:]} | {
+            "sent": sent(wire)
+        }
+
+
+if __name__ == "__main__":
+    begun = time.monotonic()
+    told = {"lifted": lifted, "stopped": stopped, "program": program}[sys.argv[1]](
+        Path(sys.argv[2])
+    )
+    print(json.dumps({**told, "seconds": time.monotonic() - begun}))

@@ -1,0 +1,149 @@
+"""``tog hardware run`` from end to end: two processes over LCM, and what goes over the wire."""
+
+import json
+
+import numpy as np
+import pytest
+from command import refused, tog
+from hardware_session import PATIENT
+from own_network import in_own_network, needs_own_network
+
+from tog_drake.executor import ExecutorState, Phase
+from tog_drake.hardware.episode import judge
+from tog_drake.safety import SafetyConfig, StopReason
+from tog_drake.stations.guard import GuardMode, GuardState
+from tog_drake.stations.panda_lcm import UNCHANGED, due
+
+
+def session(name, folder):
+    done = in_own_network("hardware_session.py", name, folder)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def lifted(tmp_path_factory):
+    return session("lifted", tmp_path_factory.mktemp("lifted"))
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    return session("stopped", tmp_path_factory.mktemp("stopped"))
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    out = tmp_path_factory.mktemp("simulated")
+    done = tog(
+        *("run", "--scenario", "panda_lcm", "--task", "hand me the hammer", "--seed", "0"),
+        *("--scenario-text", PATIENT, "--no-meshcat", "--out", out),
+    )
+    assert done.status == 0, done.err
+    return json.loads((out / "episode.json").read_text())
+
+
+@needs_own_network
+def test_a_dry_run_decides_and_sends_not_one_message(lifted):
+    assert lifted["dry"]["status"] == 0, lifted["dry"]
+    assert lifted["dry"]["record"]["outcome"] == "chosen"
+    assert lifted["dry_sent"] == 0
+
+
+@needs_own_network
+def test_whoever_does_not_say_yes_is_not_given_a_motion(lifted):
+    assert lifted["no"]["status"] == 1
+    assert "[y/N]" in lifted["no"]["err"]
+    assert lifted["no"]["record"]["outcome"] == "chosen"
+    assert lifted["no_sent"] == 0
+
+
+@needs_own_network
+def test_the_real_robot_lifts_the_hammer(lifted):
+    run = lifted["run"]
+    assert run["status"] == 0, run
+    record = run["record"]
+    assert (record["outcome"], record["grasp_success"]) == ("lifted", True)
+    hardware = record["hardware"]
+    assert (hardware["speed"], hardware["rule"], hardware["force"]) == (0.5, None, None)
+    assert hardware["opening_after"] == pytest.approx(record["choice"]["width"], abs=0.005)
+    assert record["task_compliance"] is None  # nobody knows the truth here
+    assert lifted["files"] == ["episode.json", "report.html"]
+
+
+@needs_own_network
+def test_no_command_is_a_jump_and_the_first_is_where_the_arm_is(lifted):
+    told = lifted["commanded"]
+    assert told["first"] <= SafetyConfig().start_tolerance
+    assert told["fastest"] <= SafetyConfig().velocity
+    assert told["discontinuity"] <= 0.5
+    assert told["refused"] == []
+    assert lifted["hand"] == ["grasp"]  # it was open already, and is told once to close
+
+
+@needs_own_network
+def test_the_real_robot_decides_as_the_simulated_one(lifted, simulated):
+    real = lifted["run"]["record"]
+    assert real["choice"]["part"] == simulated["choice"]["part"]
+    assert real["choice"]["width"] == pytest.approx(simulated["choice"]["width"], abs=1e-3)
+    assert real["choice"]["pixel"] == pytest.approx(simulated["choice"]["pixel"], abs=3)
+    assert real["motion"]["duration"] == pytest.approx(simulated["motion"]["duration"], rel=0.02)
+    assert real["motion"]["phases"] == pytest.approx(simulated["motion"]["phases"], rel=0.02)
+
+
+@needs_own_network
+def test_ctrl_c_stops_the_arm_which_then_stands_still(stopped):
+    run = stopped["run"]
+    assert run["status"] == 1, run
+    assert run["record"]["outcome"] == "stopped"
+    assert run["record"]["hardware"]["rule"] == "operator"
+    assert "SIGINT" in run["record"]["message"]
+    assert stopped["commanded"]["refused"] == []
+    moved, commands = stopped["still"]
+    assert moved < 0.002
+    assert commands == 0
+
+
+@needs_own_network
+def test_the_program_in_diagrams_asks_before_it_moves(tmp_path):
+    told = session("program", tmp_path)
+    assert told["status"] == 0, told
+    assert "Move the arm? [y/N]" in told["out"]
+    assert told["sent"] == 0
+
+
+def test_what_no_real_robot_can_do_is_refused_before_it_is_connected_to(tmp_path):
+    def run(text, *options):
+        return tog(
+            *("hardware", "run", "--task", "hand me the hammer", "--out", tmp_path),
+            *("--no-meshcat", "--scenario-text", text, *options),
+        )
+
+    refused(run("{pipeline: {retries: 1}}"), "moves once")
+    refused(run("{hardware: {safety: {velocity: 2}}}"), "velocity", "0 to 1")
+    refused(run("{hardware: null}"), "no section hardware", "panda_lcm")
+
+
+def judged(closed, after, phase=Phase.DONE, broken=None):
+    state = ExecutorState(phase=phase, opening_after=after)
+    guarded = GuardState(GuardMode.STOPPED if broken else GuardMode.ARMED, broken=broken)
+    return judge(guarded, state, closed, 0.002)[0]
+
+
+def test_success_is_told_by_the_width_of_the_hand():
+    assert judged(0.012, 0.0119) == "lifted"
+    assert judged(0.012, 0.0001) == "dropped"
+    assert judged(0.012, 0.0085) == "dropped"
+    assert judged(0.0005, 0.0005) == "empty"
+    assert judged(None, None, Phase.FAILED) == "collision"
+    assert judged(0.012, 0.012, broken=(StopReason.TRACKING, "it strayed")) == "stopped"
+
+
+def test_the_hand_is_told_an_opening_that_stays_and_never_a_narrower_one_but_to_grasp():
+    nothing = np.nan
+    assert not due(0.08, 1.0, nothing, 1.0 + UNCHANGED / 2)
+    assert due(0.08, 1.0, nothing, 1.0 + UNCHANGED)
+    assert not due(0.06, 1.0, 0.08, 2.0)  # the driver would grasp, whatever the width
+    assert due(0.0, 1.0, 0.08, 2.0)
+    assert not due(0.0, 1.0, 0.0, 2.0)
+    assert due(0.08, 1.0, 0.0, 2.0)
+    assert not due(nothing, 0.0, nothing, 2.0)
