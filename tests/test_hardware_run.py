@@ -1,6 +1,8 @@
 """``tog hardware run`` from end to end: two processes over LCM, and what goes over the wire."""
 
 import json
+import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,11 +10,14 @@ from command import refused, tog
 from hardware_session import PATIENT
 from own_network import in_own_network, needs_own_network
 
+from tog_drake.decision import Decision
 from tog_drake.executor import ExecutorState, Phase
+from tog_drake.hardware.asking import asked
 from tog_drake.hardware.episode import judge
 from tog_drake.safety import SafetyConfig, StopReason
 from tog_drake.stations.guard import GuardMode, GuardState
 from tog_drake.stations.panda_lcm import UNCHANGED, due
+from tog_drake.values import Choice, GraspMotion
 
 
 def session(name, folder):
@@ -50,11 +55,10 @@ def test_a_dry_run_decides_and_sends_not_one_message(lifted):
 
 
 @needs_own_network
-def test_whoever_does_not_say_yes_is_not_given_a_motion(lifted):
-    assert lifted["no"]["status"] == 1
-    assert "[y/N]" in lifted["no"]["err"]
-    assert lifted["no"]["record"]["outcome"] == "chosen"
-    assert lifted["no_sent"] == 0
+def test_the_program_in_diagrams_asks_before_it_moves(lifted):
+    assert lifted["program"]["status"] == 0, lifted["program"]
+    assert "Move the arm? [y/N]" in lifted["program"]["out"]
+    assert lifted["program_sent"] == 0
 
 
 @needs_own_network
@@ -103,12 +107,23 @@ def test_ctrl_c_stops_the_arm_which_then_stands_still(stopped):
     assert commands == 0
 
 
-@needs_own_network
-def test_the_program_in_diagrams_asks_before_it_moves(tmp_path):
-    told = session("program", tmp_path)
-    assert told["status"] == 0, told
-    assert "Move the arm? [y/N]" in told["out"]
-    assert told["sent"] == 0
+@pytest.mark.parametrize(
+    ("said", "meant"), [("y\n", True), ("Yes\n", True), ("n\n", False), ("\n", False), ("", False)]
+)
+def test_whatever_is_not_yes_is_no(said, meant, monkeypatch, capsys):
+    reader, writer = os.pipe()
+    os.write(writer, said.encode())
+    os.close(writer)
+    chosen = replace(Choice.none(), part="head", reason="it is the head")
+    motion = replace(GraspMotion.still(), duration=8.0)
+    listened = []
+    with os.fdopen(reader) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        decision = Decision(choice=chosen, motion=motion)
+        answer = asked(decision, lambda: listened.append(1), speed=0.25, meshcat=None)
+    assert answer is meant
+    assert listened
+    assert "32 s at 25%" in capsys.readouterr().err
 
 
 def test_what_no_real_robot_can_do_is_refused_before_it_is_connected_to(tmp_path):

@@ -51,6 +51,7 @@ except SystemExit as ended:
         _help("serve", "proposer"),
         _help("weights", "check"),
         _help("hardware", "emulate"),
+        _help("hardware", "run"),
     ],
     ids=[
         "import",
@@ -63,6 +64,7 @@ except SystemExit as ended:
         "serve proposer --help",
         "weights check --help",
         "hardware emulate --help",
+        "hardware run --help",
     ],
 )
 def test_neither_the_package_nor_its_help_loads_anything_heavy(program):

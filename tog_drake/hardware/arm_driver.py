@@ -47,15 +47,17 @@ class ArmDriver:
         q: where the arm is held until the first command.
         recover_after: [s] from a reflex, or the driver's end, to a driver that was started anew;
             infinite: it stays so.
+        longest: [s] see ``LONGEST``; more of it forgives commands that were lost.
     """
 
-    def __init__(self, q: Array, recover_after: float = math.inf):
+    def __init__(self, q: Array, recover_after: float = math.inf, longest: float = LONGEST):
         self.mode = RobotMode.MOVE
         self.running = True  # False: the process has ended; no status is sent
         self.why = ""  # it is in another mode than MOVE, or not running
         self.q_desired = q  # (7,) [rad] what the joints are told
         self.moved = False  # whether a command ever asked for anything but standing still
         self._recover_after = recover_after
+        self._longest = longest
         self._back_at = math.inf  # when it is started anew
         self._brake: tuple[float, Callable[[float], Array]] | None = None  # since when, and how
         self._q_first = q
@@ -85,7 +87,7 @@ class ArmDriver:
     def _speed(self, q: Array, utime: int) -> Array:
         if self._utime is None:
             return np.zeros(7)
-        dt = min(max((utime - self._utime) / 1e6, SHORTEST), LONGEST)
+        dt = min(max((utime - self._utime) / 1e6, SHORTEST), self._longest)
         return (q - self._q) / dt
 
     def _problem(self, q: Array, v: Array) -> str:

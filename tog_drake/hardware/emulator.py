@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tog_drake.hardware.arm_driver import ArmDriver, Verdict, read_arm_command
+from tog_drake.hardware.arm_driver import LONGEST, ArmDriver, Verdict, read_arm_command
 from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.emulated_camera import EmulatedCameras, Scene
 from tog_drake.hardware.emulated_world import Child, Drive, EmulatedWorld, WorldState
@@ -108,7 +108,9 @@ class Emulator:
         except BaseException:
             self.close()
             raise
-        self._arm = ArmDriver(self._state.q, config.recover_after)
+        # A scenario that forgives the commanding program a longer stall forgives this one, too.
+        longest = max(LONGEST, hardware_of(scenario).safety.stall / 5)
+        self._arm = ArmDriver(self._state.q, config.recover_after, longest)
         self._hand = HandDriver(self._state.opening, FINGER_P)
         self._mode: tuple[object, ...] = ()  # as it was written down last
         self._last_tick = self._last_step = time.time()

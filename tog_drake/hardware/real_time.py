@@ -13,7 +13,9 @@ from tog_drake.hardware.connection import Robot
 from tog_drake.safety import PERIOD, StopReason, braked, limits_of
 
 STOP_BUTTON = "STOP"
-_HAND_AGE = 1.0  # [s] the hand's driver speaks ten times a second
+_HAND_SLOWER = (
+    10  # times as old as the arm's may the hand's status be: it speaks so much less often
+)
 _PATIENCE = 1.0  # [s] for a fresh status, after a time in which nobody listened
 _MESSAGES = 20  # that are taken in at once, at most: nobody floods the loop
 
@@ -115,7 +117,7 @@ class RealTime:
             operator.stop(StopReason.STALLED, f"this program was {late:.2f} s late")
         if self._meshcat is not None and self._meshcat.GetButtonClicks(STOP_BUTTON) > 0:
             operator.stop(StopReason.OPERATOR, "the STOP button")
-        if (age := self._robot.bus.hand.age()) > _HAND_AGE:
+        if (age := self._robot.bus.hand.age()) > _HAND_SLOWER * self._robot.safety.status_age:
             operator.stop(StopReason.STALE_STATUS, f"the hand's status is {age:.1f} s old")
 
     @contextmanager
