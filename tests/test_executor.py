@@ -52,14 +52,14 @@ class _Arm(LeafSystem):
         self.offset = np.zeros(7)
         self.DeclareVectorOutputPort("q", 7, self._Calc)
         self.position = Q_NOW.copy()
-        self.opening = HELD
+        self.opening, self.rate = HELD, 0.0
         self.DeclareVectorOutputPort("hand", 2, self._CalcHand)
 
     def _Calc(self, context, output):
         output.SetFromVector(self.position + self.offset)
 
     def _CalcHand(self, context, output):
-        output.SetFromVector([self.opening, 0.0])
+        output.SetFromVector([self.opening, self.rate])
 
 
 class _Looker(LeafSystem):
@@ -279,6 +279,21 @@ def test_without_a_reason_or_leave_to_try_again_the_motion_is_the_last(retries, 
     assert executor.state(context).phase is Phase.DONE
     assert planner.calls == 1
     assert len(_failed(executor, context)) == 0
+
+
+@pytest.mark.parametrize(("until", "begins"), [(0.0, 0.31), (0.6, 0.61), (9.0, 0.81)])
+def test_the_lift_waits_for_fingers_that_still_move_but_not_for_ever(until, begins):
+    """The look is at 0.1 s, the motion begins one update later, its lift 0.2 s after that."""
+    config = ExecutorConfig(look_time=0.1, hand_patience=0.5, max_tracking_error=10)
+    simulator, executor, context, _, arm = _world(config)
+    lifts = None
+    while lifts is None:
+        simulator.AdvanceTo(simulator.get_context().get_time() + 0.005)
+        t, state = simulator.get_context().get_time(), executor.state(context)
+        arm.rate = 0.005 if t < until else 0.0
+        if state.phase is Phase.MOVE and t - state.start_time > 0.2:
+            lifts = t
+    assert lifts == pytest.approx(begins, abs=0.021)
 
 
 def test_it_tries_again_no_more_often_than_it_may():

@@ -33,6 +33,7 @@ class ExecutorConfig:
     max_tracking_error: float = 0.15  # [rad] measured against commanded; beyond it, stop
     empty_opening: float = 0.002  # [m] closed further than this after the hold, it holds nothing
     speed: float = 1.0  # of the planned motion's, above 0 to 1; 0.5 takes twice as long
+    hand_patience: float = 0.0  # [s] the lift waits at most so long for fingers that still move
 
 
 class Phase(Enum):
@@ -47,6 +48,7 @@ class Phase(Enum):
     FAILED = "failed"  # braking, as the arm no longer followed, then holding where that ends
 
 
+_MOVING = 0.001  # [m/s] of fingers; the Franka hand's driver says 0.005 while they move, else 0
 _PLAYING = (Phase.LOOK, Phase.MOVE, Phase.RETREAT)
 
 
@@ -64,6 +66,7 @@ class ExecutorState:
     attempt: int = 1
     stop: Callable[[float], Array] | None = None  # commanded in FAILED, from time [s] to (7,) [rad]
     opening_after: float | None = None  # [m] measured at the end of the last motion
+    waited: float = 0.0  # [s] for the fingers, before the last motion's lift
 
     def __deepcopy__(self, memo: dict[int, object]) -> "ExecutorState":
         # Every update copies the state, and nothing in it ever changes: a sixth of the run's time.
@@ -236,13 +239,25 @@ class GraspExecutor(LeafSystem):
             return replace(_holding(s, motion, 0.0), phase=Phase.READY, motion=motion)
         if s.phase is Phase.READY:
             phase = Phase.MOVE if s.next_look is None else Phase.LOOK
-            s = replace(s, phase=phase, start_time=t)
+            s = replace(s, phase=phase, start_time=t, waited=0.0)
             if self._safety is not None:  # a person may have thought about it for a minute
                 check_start(_played(s, t)[0], self._measured.Eval(context), self._safety)
             return s
         if s.phase in _PLAYING:
-            return self._watch(s, context)
+            return self._watch(self._wait_for_hand(s, context), context)
         return s
+
+    def _wait_for_hand(self, s: ExecutorState, context: Context) -> ExecutorState:
+        """Holds the motion back where the arm rests before the lift, while fingers still move."""
+        patience = self._config.hand_patience
+        if s.phase is not Phase.MOVE or s.motion is None or s.waited >= patience:
+            return s
+        rest = s.start_time + s.motion.phase_times["lift"] - self._config.period
+        late = context.get_time() - rest
+        moves = abs(self._hand.Eval(context)[1]) > _MOVING
+        if not (moves and 0.0 <= late <= self._config.period + 1e-9):
+            return s
+        return replace(s, start_time=s.start_time + late, waited=s.waited + late)
 
     def _accepted(self, motion: GraspMotion, context: Context) -> GraspMotion:
         """Returns the motion as it is played."""
