@@ -1,27 +1,35 @@
 """``tog hardware run`` against an emulated robot; prints, as JSON, what came of it.
 
-python hardware_session.py lifted|stopped FOLDER
+python hardware_session.py lifted|stopped|ruled FOLDER
 """
 
+import itertools
 import json
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from emulated_robot import emulated_robot
 
+from tog_drake.hardware import connection, episode
+from tog_drake.hardware.real_time import RealTime
 from tog_drake.panda import V_MAX
 from tog_drake.resources import resource_dir
 from tog_drake.safety import PERIOD
+from tog_drake.scenario import load_scenario
+from tog_drake.stations.lcm_bus import PANDA_COMMAND, arm_command_message, make_lcm
 
 TASK = "hand me the hammer"
 SEED = 0
 # A busy computer makes everything late. What is judged here is where the arm goes, not when.
 PATIENT = """{
-  hardware: {safety: {status_age: 2.0, image_age: 5.0, stall: 2.0, tracking_error: 0.5}},
+  hardware: {safety: {status_age: 2.0, image_age: 20.0, stall: 2.0, tracking_error: 0.5}},
   pipeline: {executor: {max_tracking_error: 0.5}, trajectory: {settle_time: 2.0}}
 }"""
 
@@ -121,7 +129,97 @@ def stopped(folder):
         return told
 
 
+# Rule of safety, and the setting under which the planned motion would break it.
+REFUSED = {
+    "workspace": {"workspace_upper": [0.85, 0.5, 0.3]},
+    "hand_speed": {"hand_speed": 0.05},
+    "velocity": {"velocity": 0.05},
+    "position": {"position_margin": 0.45},
+}
+
+
+def ruled(folder):
+    """What each rule keeps the arm from, and how it stands afterwards."""
+    push = "push:PANDA_STATUS:0.3:2:40"  # while it moves for the first time
+    told = {}
+    with emulated_robot(
+        folder, "--seed", str(SEED), "--scenario-text", PATIENT, "--fault", push
+    ) as wire:
+        for rule, settings in REFUSED.items():
+            told[rule] = {**in_this_process(**settings), "sent": sent(wire)}
+        told["no_image"] = {**in_this_process(channel="NOBODY"), "sent": sent(wire)}
+        with somebody_else(wire):
+            told["foreign_command"] = in_this_process()
+        wire.listen(0.5)
+        for rule, settings in (
+            ("external_torque", {}),
+            ("tracking", {"tracking_error": 0.002}),
+            ("stalled", {"stall": 0.3, "loop": Stalling}),
+            ("operator", {"loop": Clicked}),
+        ):
+            told[rule] = {**in_this_process(**settings), "still": stillness(wire, 0.5)}
+    return told
+
+
+def in_this_process(*, channel="TOG_WRIST", loop=RealTime, **settings):
+    """Runs one episode with these settings of safety; returns outcome and rule."""
+    scenario = load_scenario("panda_lcm", PATIENT, seed=SEED)
+    for name, value in settings.items():
+        setattr(scenario.hardware.safety, name, value)
+    scenario.hardware.cameras["wrist"].channel = channel
+    scenario.hardware.speed = 0.5
+    patience = 2.0 if channel == "NOBODY" else 20.0
+    with (
+        mock.patch.multiple(connection, PATIENCE=patience),
+        mock.patch.object(episode, "RealTime", loop),
+    ):
+        found = episode.run_hardware_episode(
+            scenario, name="panda_lcm", task=TASK, ask=lambda *_: True
+        ).record
+    return {"outcome": found["outcome"], "rule": found["hardware"]["rule"]}
+
+
+class Stalling(RealTime):
+    """Is kept from working for half a second, once, while the arm moves."""
+
+    ticks = 0
+
+    def listen(self, *, cameras=True):
+        self.ticks += not cameras
+        if self.ticks == 60:
+            time.sleep(0.5)
+        super().listen(cameras=cameras)
+
+
+class Clicked(RealTime):
+    """Has a STOP button that somebody clicks on while the arm moves."""
+
+    def __init__(self, simulator, robot, meshcat=None):
+        button = mock.Mock()
+        button.GetButtonClicks.side_effect = itertools.chain([0] * 60, itertools.repeat(1))
+        super().__init__(simulator, robot, button)
+
+
+@contextmanager
+def somebody_else(wire):
+    """Another program commands the arm to stay where it is."""
+    q, over = wire.arm.newest.q, threading.Event()
+
+    def command():
+        lcm = make_lcm()
+        while not over.wait(0.02):
+            lcm.Publish(PANDA_COMMAND, arm_command_message(q, int(1e6 * time.time())))
+
+    thread = threading.Thread(target=command)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
 if __name__ == "__main__":
     begun = time.monotonic()
-    told = {"lifted": lifted, "stopped": stopped}[sys.argv[1]](Path(sys.argv[2]))
+    told = {"lifted": lifted, "stopped": stopped, "ruled": ruled}[sys.argv[1]](Path(sys.argv[2]))
     print(json.dumps({**told, "seconds": time.monotonic() - begun}))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command import refused, tog
-from hardware_session import PATIENT
+from hardware_session import PATIENT, REFUSED
 from own_network import in_own_network, needs_own_network
 
 from tog_drake.decision import Decision
@@ -92,6 +92,36 @@ def test_the_real_robot_decides_as_the_simulated_one(lifted, simulated):
     assert real["choice"]["pixel"] == pytest.approx(simulated["choice"]["pixel"], abs=3)
     assert real["motion"]["duration"] == pytest.approx(simulated["motion"]["duration"], rel=0.02)
     assert real["motion"]["phases"] == pytest.approx(simulated["motion"]["phases"], rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def ruled(tmp_path_factory):
+    return session("ruled", tmp_path_factory.mktemp("ruled"))
+
+
+@needs_own_network
+@pytest.mark.parametrize("rule", REFUSED)
+def test_a_motion_that_would_break_a_rule_is_not_begun(rule, ruled):
+    assert ruled[rule] == {"outcome": "stopped", "rule": rule, "sent": 0}
+
+
+@needs_own_network
+def test_without_fresh_images_nothing_is_decided(ruled):
+    assert ruled["no_image"] == {"outcome": "no_image", "rule": None, "sent": 0}
+
+
+@needs_own_network
+def test_an_arm_that_somebody_else_commands_is_left_alone(ruled):
+    assert ruled["foreign_command"] == {"outcome": "stopped", "rule": "foreign_command"}
+
+
+@needs_own_network
+@pytest.mark.parametrize("rule", ["external_torque", "tracking", "stalled", "operator"])
+def test_what_breaks_a_rule_on_the_way_stops_the_arm_which_then_stands_still(rule, ruled):
+    assert (ruled[rule]["outcome"], ruled[rule]["rule"]) == ("stopped", rule)
+    moved, commands = ruled[rule]["still"]
+    assert moved < 0.002
+    assert commands == 0
 
 
 @needs_own_network

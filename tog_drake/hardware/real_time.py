@@ -13,9 +13,7 @@ from tog_drake.hardware.connection import Robot
 from tog_drake.safety import PERIOD, StopReason, braked, limits_of
 
 STOP_BUTTON = "STOP"
-_HAND_SLOWER = (
-    10  # times as old as the arm's may the hand's status be: it speaks so much less often
-)
+_HAND_SLOWER = 10  # times as old may the hand's status be: it speaks so much less often
 _PATIENCE = 1.0  # [s] for a fresh status, after a time in which nobody listened
 _MESSAGES = 20  # that are taken in at once, at most: nobody floods the loop
 
@@ -78,16 +76,16 @@ class RealTime:
                 raise
 
     def _run(self, ended: Callable[[], bool], *, moving: bool) -> None:
-        deadline = time.monotonic()
+        deadline, late = time.monotonic(), 0.0
         while not ended():
-            late = time.monotonic() - deadline
             if moving:
                 self._watch(late)
             self.listen(cameras=not moving)
             self._simulator.AdvanceTo((round(self.time / PERIOD) + 1) * PERIOD)
-            # When late, the next period begins now.
-            deadline = max(deadline, time.monotonic() - PERIOD) + PERIOD
+            deadline += PERIOD
             time.sleep(max(0.0, deadline - time.monotonic()))
+            late = time.monotonic() - deadline
+            deadline += late  # the next period begins now
 
     def listen(self, *, cameras: bool = True) -> None:
         """Takes in what has come."""
