@@ -179,6 +179,7 @@ def test_success_is_told_by_the_width_of_the_hand():
     assert judged(0.012, 0.0001) == "dropped"
     assert judged(0.012, 0.0085) == "dropped"
     assert judged(0.0005, 0.0005) == "empty"
+    assert judged(0.0795, 0.0795) == "empty"  # it was told to close and did not
     assert judged(None, None, Phase.FAILED) == "collision"
     assert judged(0.012, 0.012, broken=(StopReason.TRACKING, "it strayed")) == "stopped"
 

@@ -41,7 +41,7 @@ class EmulatorLog:
 
     - ``command``: on the wire, before any fault: ``utime``, ``q`` (null: not understood)
     - ``verdict``: of the arm's driver, on a command it did not accept: ``utime``, ``q``
-    - ``measured``: ``q``
+    - ``measured``: ``q``, and ``v`` [rad/s]
     - ``mode``: ``mode`` of the arm, ``running`` (the driver), ``why``
     - ``hand_command``: ``verdict``, ``opening`` measured [m]
     - ``image``: what is rendered: ``positions`` of the plant; ``time`` is its stamp
@@ -180,7 +180,7 @@ class Emulator:
             opening = self._hand.advance(self._state.opening, step)
             self._world.ask(Drive(q, opening, step))
         self._look(now)
-        self._log.write(now, "measured", q=self._state.q.tolist())
+        self._log.write(now, "measured", q=self._state.q.tolist(), v=self._state.v.tolist())
         self._say_mode(now)
         self._publish(now)
 

@@ -15,6 +15,7 @@ from tog_drake.executor import ExecutorState, Phase
 from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.connection import Robot, connect
 from tog_drake.hardware.real_time import RealTime
+from tog_drake.panda import MAX_OPENING
 from tog_drake.record import HardwareRecord, new_record
 from tog_drake.safety import StopReason, check_motion
 from tog_drake.scenario import Scenario
@@ -169,7 +170,7 @@ def judge(
     Args:
         guarded: what the guard did.
         state: how the executor ended.
-        opening_closed: [m] between the pads when the lift began.
+        opening_closed: [m] between the pads when the lift began; the hand arrives fully open.
         empty: [m] a hand that is closed further holds nothing.
     """
     if guarded.broken is not None:
@@ -178,6 +179,8 @@ def judge(
     if state.phase is Phase.FAILED:
         return "collision", "the arm no longer followed its command and was stopped"
     after = state.opening_after
+    if opening_closed is not None and opening_closed > MAX_OPENING - LOST:
+        return "empty", "the fingers did not close: see the hand's driver"
     if opening_closed is None or after is None or opening_closed < empty:
         return "empty", "the fingers closed on nothing"
     if after < empty or opening_closed - after > LOST:
