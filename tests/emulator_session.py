@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from drake import lcmt_panda_status
 from emulated_robot import emulated_robot
 
 from tog_drake.scenario import load_scenario
@@ -56,7 +57,13 @@ def driven(folder):
         wire.listen(0.5)
         told["moved_after_reflex"] = float(np.abs(wire.arm.newest.q - stood).max())
         told["mode_at_the_end"] = wire.arm.newest.robot_mode
+        told["gap"] = longest_gap(wire)
     return told
+
+
+def longest_gap(wire):
+    """How long the emulator was kept from working at most [s]; its period is 0.005."""
+    return float(np.diff([line["time"] for line in wire.logged("measured")]).max())
 
 
 def images(wire):
@@ -94,14 +101,19 @@ def hand(wire):
 def faulty(folder):
     options = [word for text in FAULTS.values() for word in ("--fault", text)]
     with emulated_robot(folder, *options) as wire:
-        raw = []
-        wire.lcm.Subscribe(PANDA_STATUS, lambda data: raw.append((time.time(), data)))
+        raw = []  # when each was sent, and the message: a busy computer brings it late
+        wire.lcm.Subscribe(PANDA_STATUS, lambda data: raw.append((sent_at(data), data)))
         seen = {}
         for name in FAULTS:
             seen[name] = during(wire, raw, name)
         wire.listen(1.0)
         seen["after"] = wire.arm.newest.robot_mode
+        seen["gap"] = longest_gap(wire)
     return seen
+
+
+def sent_at(data):
+    return lcmt_panda_status.decode(data).utime / 1e6
 
 
 def during(wire, raw, name):
@@ -110,7 +122,7 @@ def during(wire, raw, name):
     assert wire.until(lambda: len(wire.logged("fault")) >= count)
     begin = wire.logged("fault")[-1]["time"]
     wire.listen(begin + 0.3 - time.time())
-    seen, before = len(raw), wire.arm.newest.q
+    before = wire.arm.newest.q
     modes, torques, refused = [], [], wire.arm.refused
     while time.time() < begin + 0.8:
         if name in ("lost", "late"):
@@ -121,7 +133,7 @@ def during(wire, raw, name):
     assert wire.until(lambda: raw[-1][0] > begin + 1.4)
     after = [read_arm_status(data).robot_mode for at, data in raw if at > begin + 1.3]
     return {
-        "messages": len([at for at, _ in raw[seen:] if at < begin + 0.8]),
+        "messages": len([at for at, _ in raw if begin + 0.3 < at < begin + 0.8]),
         "refused": wire.arm.refused - refused,
         "modes": sorted(set(modes)),
         "torque": float(np.median(torques)),

@@ -8,11 +8,16 @@ from own_network import in_own_network, needs_own_network
 
 from tog_drake.stations.lcm_bus import RobotMode
 
+STARVED = 0.25  # [s] a fault lasts 1 s, and is looked at for half of that
+
 
 def session(name, folder):
     done = in_own_network("emulator_session.py", name, folder)
     assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout)
+    told = json.loads(done.stdout)
+    if told["gap"] > STARVED:
+        pytest.skip(f"needs a computer that keeps up: the emulator stood for {told['gap']:.2f} s")
+    return told
 
 
 @pytest.fixture(scope="module")
