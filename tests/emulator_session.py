@@ -1,11 +1,15 @@
 """Drives an emulated robot over LCM and prints, as JSON, what came of it.
 
 python emulator_session.py driven|faulty FOLDER
+
+``gap`` is how long this or the emulator was kept from working at most; where that is long, what
+was seen says nothing, or nothing was seen at all.
 """
 
 import json
 import sys
 import time
+import traceback
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +17,28 @@ from drake import lcmt_panda_status
 from emulated_robot import emulated_robot
 
 from tog_drake.scenario import load_scenario
-from tog_drake.stations.lcm_bus import PANDA_STATUS, RobotMode, read_arm_status
+from tog_drake.stations.lcm_bus import PANDA_STATUS, RobotMode
 from tog_drake.stations.simulation import SimulationStation
 
 SEED = 3
-# Each comes when the one before is over.
+LASTS, EVERY = 1.5, 3.0  # [s] a fault, and from the begin of one to the next's
+# What is seen in this time from the begin of a fault, and from its end, is judged by when it was
+# sent: whatever stands still for as long does not mistake one for the other.
+SEEN = 0.7  # [s]
 FAULTS = {
-    "drop": "drop:PANDA_STATUS:+1:1",
-    "nan": "nan:PANDA_STATUS:+3:1",
-    "push": "push:PANDA_STATUS:+5:1:40",
-    "restart": "restart:PANDA_STATUS:+7:1",
-    "reflex": "reflex:PANDA_STATUS:+9:1",
-    "lost": "drop:PANDA_COMMAND:+11:1",
-    "late": "delay:PANDA_COMMAND:+13:1:0.5",
+    "drop": "drop:PANDA_STATUS",
+    "nan": "nan:PANDA_STATUS",
+    "push": "push:PANDA_STATUS:40",
+    "restart": "restart:PANDA_STATUS",
+    "reflex": "reflex:PANDA_STATUS",
+    "lost": "drop:PANDA_COMMAND",
+    "late": "delay:PANDA_COMMAND:0.5",
 }
+PATIENT = "{hardware: {safety: {stall: 4.0}}}"  # a step is taken to be made in up to 0.8 s
 
 
 def driven(folder):
-    with emulated_robot(folder, "--seed", str(SEED)) as wire:
+    with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
         told = {"images": images(wire)}
         before = wire.arm.received, len(wire.logged("measured"))
         wire.listen(2.0)
@@ -38,7 +46,7 @@ def driven(folder):
         told["ticks"] = len(wire.logged("measured")) - before[1]
 
         wire.command(wire.arm.newest.q + 1.0, late=0.3)
-        wire.listen(0.3)
+        assert wire.until(lambda: wire.logged("verdict"))
         told["expired"] = [v["verdict"] for v in wire.logged("verdict")]
         told["mode_after_expired"] = wire.arm.newest.robot_mode
 
@@ -48,7 +56,7 @@ def driven(folder):
 
         told["hand"] = hand(wire)
 
-        wire.command(q + 0.2)
+        wire.command(q + np.array([1.5, 0, 0, 0, 0, 0, 0]))
         told["reflex"] = wire.until(lambda: wire.arm.newest.robot_mode == RobotMode.REFLEX)
         wire.listen(0.5)
         stood = wire.arm.newest.q
@@ -57,13 +65,7 @@ def driven(folder):
         wire.listen(0.5)
         told["moved_after_reflex"] = float(np.abs(wire.arm.newest.q - stood).max())
         told["mode_at_the_end"] = wire.arm.newest.robot_mode
-        told["gap"] = longest_gap(wire)
     return told
-
-
-def longest_gap(wire):
-    """How long the emulator was kept from working at most [s]; its period is 0.005."""
-    return float(np.diff([line["time"] for line in wire.logged("measured")]).max())
 
 
 def images(wire):
@@ -99,51 +101,83 @@ def hand(wire):
 
 
 def faulty(folder):
-    options = [word for text in FAULTS.values() for word in ("--fault", text)]
-    with emulated_robot(folder, *options) as wire:
-        raw = []  # when each was sent, and the message: a busy computer brings it late
-        wire.lcm.Subscribe(PANDA_STATUS, lambda data: raw.append((sent_at(data), data)))
-        seen = {}
-        for name in FAULTS:
-            seen[name] = during(wire, raw, name)
-        wire.listen(1.0)
-        seen["after"] = wire.arm.newest.robot_mode
-        seen["gap"] = longest_gap(wire)
-    return seen
+    options = []
+    for number, text in enumerate(FAULTS.values()):
+        kind, channel, *amount = text.split(":")
+        times = f"+{1 + EVERY * number}", str(LASTS)
+        options += ["--fault", ":".join([kind, channel, *times, *amount])]
+    with emulated_robot(folder, "--scenario-text", PATIENT, *options) as wire:
+        statuses, stood = watched(wire, 1 + EVERY * len(FAULTS))
+        begins = [line["time"] for line in wire.logged("fault")]
+        assert len(begins) == len(FAULTS)
+        told = {
+            name: during(wire, statuses, begin) for name, begin in zip(FAULTS, begins, strict=True)
+        }
+        told["stood"] = stood
+        told["mode"] = wire.arm.newest.robot_mode
+    return told
 
 
-def sent_at(data):
-    return lcmt_panda_status.decode(data).utime / 1e6
+def watched(wire, seconds):
+    """Tells the arm to stay where it is, for so long.
 
-
-def during(wire, raw, name):
-    """What is seen from a moment after a fault has begun until it is nearly over."""
-    count = list(FAULTS).index(name) + 1
-    assert wire.until(lambda: len(wire.logged("fault")) >= count)
-    begin = wire.logged("fault")[-1]["time"]
-    wire.listen(begin + 0.3 - time.time())
-    before = wire.arm.newest.q
-    modes, torques, refused = [], [], wire.arm.refused
-    while time.time() < begin + 0.8:
-        if name in ("lost", "late"):
-            wire.command(before)
+    Returns:
+        Of every status when it was sent, its mode, the torque at the elbow and whether the
+        positions are numbers; and how long nobody listened at most [s].
+    """
+    statuses, last, stood = [], time.time(), 0.0
+    wire.lcm.Subscribe(PANDA_STATUS, lambda data: statuses.append(told_by(data)))
+    end, q = last + seconds, wire.arm.newest.q
+    while time.time() < end:
+        wire.command(q)
         wire.listen(0.02)
-        modes.append(wire.arm.newest.robot_mode)
-        torques.append(wire.arm.newest.torque_external[3])
-    assert wire.until(lambda: raw[-1][0] > begin + 1.4)
-    after = [read_arm_status(data).robot_mode for at, data in raw if at > begin + 1.3]
+        now = time.time()
+        stood, last = max(stood, now - last), now
+    return statuses, stood
+
+
+def told_by(data):
+    message = lcmt_panda_status.decode(data)
+    finite = bool(np.isfinite(message.joint_position).all())
+    return message.utime / 1e6, message.robot_mode, -message.joint_torque_external[3], finite
+
+
+def during(wire, statuses, begin):
+    """What is seen from the begin of a fault, and after its end."""
+
+    def sent(since, until):
+        return [values for at, *values in statuses if begin + since < at < begin + until]
+
+    def logged(event, since=0.0):
+        return [e for e in wire.logged(event) if begin + since < e["time"] < begin + SEEN]
+
+    there, after = sent(0.0, SEEN), sent(LASTS + 0.05, LASTS + 0.05 + SEEN)
     return {
-        "messages": len([at for at, _ in raw if begin + 0.3 < at < begin + 0.8]),
-        "refused": wire.arm.refused - refused,
-        "modes": sorted(set(modes)),
-        "torque": float(np.median(torques)),
-        "verdicts": [v["verdict"] for v in wire.logged("verdict") if v["time"] > begin],
-        "commands": len([c for c in wire.logged("command") if c["time"] > begin]),
-        "after": [len(after), sorted(set(after))],
+        "messages": len(there),
+        "modes": sorted({mode for mode, _, _ in there}),
+        "torque": float(np.median([torque for _, torque, _ in there] or [np.nan])),
+        "numbers": sorted({finite for _, _, finite in there}),
+        "commands": len(logged("command")),
+        "verdicts": sorted({e["verdict"] for e in logged("verdict", since=0.1)}),
+        "after": [sorted({mode for mode, _, _ in after}), sorted({ok for _, _, ok in after})],
     }
 
 
+def longest_gap(log):
+    """How long the emulator was kept from working at most [s]; its period is 0.005."""
+    lines = map(json.loads, log.read_text().splitlines())
+    return float(np.diff([line["time"] for line in lines if line["event"] == "measured"]).max())
+
+
+def main():
+    folder = Path(sys.argv[2])
+    try:
+        told = {"driven": driven, "faulty": faulty}[sys.argv[1]](folder)
+    except AssertionError:
+        told = {"error": traceback.format_exc()}
+    told["gap"] = max(longest_gap(folder / "robot.jsonl"), told.get("stood", 0.0))
+    sys.stdout.write(json.dumps(told))
+
+
 if __name__ == "__main__":
-    sys.stdout.write(
-        json.dumps({"driven": driven, "faulty": faulty}[sys.argv[1]](Path(sys.argv[2])))
-    )
+    main()

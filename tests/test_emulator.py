@@ -4,11 +4,12 @@ import json
 
 import pytest
 from command import refused, tog
+from emulator_session import SEEN
 from own_network import in_own_network, needs_own_network
 
 from tog_drake.stations.lcm_bus import RobotMode
 
-STARVED = 0.25  # [s] a fault lasts 1 s, and is looked at for half of that
+STARVED = SEEN  # [s] whoever stands still for so long may have seen nothing of a fault
 
 
 def session(name, folder):
@@ -16,7 +17,8 @@ def session(name, folder):
     assert done.returncode == 0, done.stderr[-3000:]
     told = json.loads(done.stdout)
     if told["gap"] > STARVED:
-        pytest.skip(f"needs a computer that keeps up: the emulator stood for {told['gap']:.2f} s")
+        pytest.skip(f"needs a computer that keeps up: this one stood for {told['gap']:.2f} s")
+    assert "error" not in told, told["error"]
     return told
 
 
@@ -33,7 +35,7 @@ def faulty(tmp_path_factory):
 @needs_own_network
 def test_its_status_comes_every_period(driven):
     assert driven["ticks"] > 50  # in 2 s, of 400: on a machine that does much else
-    assert driven["statuses"] > 0.8 * driven["ticks"]
+    assert driven["statuses"] > 0.3 * driven["ticks"]  # who listens is kept from it, too
 
 
 @needs_own_network
@@ -77,28 +79,25 @@ def test_while_the_status_is_dropped_or_the_driver_restarts_nothing_comes_and_th
     fault, faulty
 ):
     assert faulty[fault]["messages"] == 0
-    count, modes = faulty[fault]["after"]
-    assert count > 0
-    assert modes == [RobotMode.MOVE]
+    assert faulty[fault]["after"] == [[RobotMode.MOVE], [True]]
 
 
 @needs_own_network
-def test_a_status_whose_values_are_no_numbers_is_refused_as_long_as_it_comes(faulty):
-    assert faulty["nan"]["messages"] > 0
-    assert faulty["nan"]["refused"] >= faulty["nan"]["messages"]
-    assert faulty["nan"]["after"][0] > 0
+def test_a_status_may_come_whose_values_are_no_numbers(faulty):
+    assert faulty["nan"]["numbers"] == [False]
+    assert faulty["nan"]["after"] == [[RobotMode.MOVE], [True]]
 
 
 @needs_own_network
 def test_a_push_is_an_external_torque_of_drakes_sign_at_the_elbow(faulty):
     assert faulty["push"]["torque"] == pytest.approx(40.0, abs=5.0)
-    assert abs(faulty["restart"]["torque"]) < 5.0
+    assert abs(faulty["reflex"]["torque"]) < 5.0
 
 
 @needs_own_network
 def test_a_reflex_is_seen_in_the_status_until_it_is_over(faulty):
     assert faulty["reflex"]["modes"] == [RobotMode.REFLEX]
-    assert faulty["reflex"]["after"][1] == [RobotMode.MOVE]
+    assert faulty["reflex"]["after"][0] == [RobotMode.MOVE]
 
 
 @needs_own_network
@@ -106,8 +105,8 @@ def test_lost_commands_are_on_the_wire_but_not_at_the_driver_and_late_ones_expir
     assert faulty["lost"]["commands"] > 0
     assert faulty["lost"]["verdicts"] == []
     assert faulty["late"]["commands"] > 0
-    assert set(faulty["late"]["verdicts"]) == {"expired"}
-    assert faulty["after"] == RobotMode.MOVE
+    assert faulty["late"]["verdicts"] == ["expired"]
+    assert faulty["mode"] == RobotMode.MOVE
 
 
 def test_a_fault_or_a_scenario_that_is_none_is_refused_before_anything_starts(tmp_path):

@@ -65,8 +65,8 @@ class Heard:
     stamps: dict[str, list[int]] = field(default_factory=dict)  # camera -> [µs] of its images
 
     def __post_init__(self) -> None:
-        self.arm = Inbox(self.lcm, PANDA_STATUS, self._read_arm)
-        self.hand = Inbox(self.lcm, HAND_STATUS, read_hand_status)
+        self.arm = Inbox(self.lcm, PANDA_STATUS, self._read_arm, time.time)
+        self.hand = Inbox(self.lcm, HAND_STATUS, read_hand_status, time.time)
 
     def _read_arm(self, data: bytes) -> ArmStatus:
         status, now = read_arm_status(data), time.time()
