@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from tog_drake.episode import run_episode
+from tog_drake.hardware.config import HardwareConfig
+from tog_drake.safety import SafetyConfig
 from tog_drake.scenario import load_scenario
 
 SETTINGS = """
@@ -18,9 +20,10 @@ pipeline:
 """
 
 
-def run(**executor):
+def run(hardware=None, **executor):
     scenario = load_scenario("BottleFromAbove", SETTINGS)
     scenario.cameras = {"wrist": scenario.cameras["wrist"]}
+    scenario.hardware = hardware
     for setting, value in executor.items():
         setattr(scenario.pipeline.executor, setting, value)
     return run_episode(scenario, name="BottleFromAbove", task="hand me the bottle")
@@ -74,3 +77,11 @@ def test_an_arm_that_does_not_follow_on_the_way_to_a_look_ends_the_episode_and_i
     assert len(record["attempts"][0]["looks"]) == 1
     assert (record["choice"], record["motion"]) == (None, None)
     assert json.loads(json.dumps(record)) == record
+
+
+def test_a_way_to_a_look_that_is_not_safe_is_not_begun_and_that_is_recorded():
+    record = run(HardwareConfig(safety=SafetyConfig(hand_speed=0.05))).record
+    assert record["outcome"] == "stopped"
+    assert "hand_speed" in record["message"]
+    assert len(record["attempts"][0]["looks"]) == 1
+    assert record["grasp_success"] is False

@@ -10,7 +10,7 @@ from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look
 
 from tog_drake.cameras import D435, L515
 from tog_drake.cloud import CloudConfig, SceneCloud, scene_cloud
-from tog_drake.errors import InputError, NoGrasp
+from tog_drake.errors import NoGrasp, NoImage
 from tog_drake.stations.depth_noise import noisy_depth
 from tog_drake.values import CameraView, Workspace
 
@@ -105,7 +105,7 @@ def test_points_come_in_an_order_that_the_image_does_not_decide(view):
 
 
 def test_all_holes_are_an_input_error(view):
-    with pytest.raises(InputError, match="all 76800 pixels of the depth image are holes"):
+    with pytest.raises(NoImage, match="all 76800 pixels of the depth image are holes"):
         scene_cloud([replace(view, depth=np.zeros_like(view.depth))], Workspace(), CloudConfig())
 
 

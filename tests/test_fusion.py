@@ -9,7 +9,7 @@ from tabletop import GREY, HAMMER_SIZED, RED, TABLE, look
 
 from tog_drake.cameras import D435, L515
 from tog_drake.cloud import CloudConfig, scene_cloud
-from tog_drake.errors import InputError, NoGrasp
+from tog_drake.errors import NoGrasp, NoImage
 from tog_drake.stations.depth_noise import noisy_depth
 from tog_drake.values import Workspace
 
@@ -154,5 +154,5 @@ def test_empty_tables_are_no_grasp_and_a_dead_camera_is_an_input_error():
     with pytest.raises(NoGrasp, match="no object in view: 0 of 153600 pixels"):
         fused([empty, empty])
     dead = replace(empty, depth=np.zeros_like(empty.depth))
-    with pytest.raises(InputError, match="all 76800 pixels of the depth image are holes"):
+    with pytest.raises(NoImage, match="all 76800 pixels of the depth image are holes"):
         fused([look([TABLE, ((0.5, 0, 0), (0.55, 0.05, 0.05), GREY)]), dead])

@@ -154,6 +154,24 @@ def test_of_a_network_it_says_which_weights_it_had():
     assert "weights:" not in report_html([EpisodeReport(make_record())])
 
 
+def test_of_a_real_arm_it_says_the_speed_the_rule_and_what_the_hand_felt():
+    hardware = {
+        "speed": 0.25,
+        "rule": "external_torque",
+        "opening_closed": 0.0121,
+        "opening_after": 0.0119,
+        "force": None,
+        "late": 0.01,
+    }
+    page = text_of(report_html([EpisodeReport(make_record(hardware=hardware))])).text
+    assert "25% of the planned speed, stopped by the safety rule external torque" in page
+    assert "12.1 mm when the lift began, 11.9 mm after it" in page
+    assert "Part held" not in page
+    unmoved = dict.fromkeys(hardware) | {"speed": 1.0}
+    page = text_of(report_html([EpisodeReport(make_record(hardware=unmoved))])).text
+    assert "Hand's opening not reached" in page
+
+
 def test_the_oracle_says_what_it_reads_wherever_it_appears():
     page = report_html([EpisodeReport(make_record(selector={"kind": "oracle"}))])
     assert "oracle selector (reads the simulated part labels: an upper bound)" in page

@@ -10,7 +10,7 @@ from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.systems.framework import Context, LeafSystem
 
 from tog_drake.denoising import Image, denoised, inverse_depth_noise
-from tog_drake.errors import InputError, NoGrasp
+from tog_drake.errors import InputError, NoGrasp, NoImage
 from tog_drake.fusion import EXACT, Surface, fused
 from tog_drake.pinhole import unproject_pixels
 from tog_drake.points import (
@@ -131,7 +131,7 @@ def scene_cloud(
         in an order that depends only on where the points are.
 
     Raises:
-        InputError: a depth image is all holes.
+        NoImage: a depth image is all holes.
         NoGrasp: nothing is left.
     """
     robots = robots or [None] * len(views)
@@ -155,7 +155,7 @@ def scene_cloud(
 def _seen(view: View, workspace: Workspace, config: CloudConfig, robot: Spheres | None) -> Surface:
     """What one view shows."""
     if not np.any(view.depth > 0):
-        raise InputError(
+        raise NoImage(
             f"all {view.depth.size} pixels of the depth image are holes (0, NaN or inf): check the "
             "camera and the depth scale"
         )

@@ -24,7 +24,7 @@ from tog_drake.record import (
 )
 from tog_drake.scenario import Scenario
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
-from tog_drake.values import Exchange, Grasps, NextLook
+from tog_drake.values import Array, Exchange, Grasps, NextLook
 from tog_drake.visualization import draw_decision, replay_html
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World, build_world, look
@@ -118,7 +118,17 @@ def _run(
     context = simulator.get_mutable_context()
     course = _Course()
     while True:
-        looks, state = _look_around(simulator, world, judge, course)
+        looks: list[LookRecord] = []
+        try:
+            state = _look_around(simulator, world, judge, course, looks)
+        except Stopped as error:
+            course.decision, course.looked, course.between = (
+                Decision(error=error),
+                context.get_time(),
+                None,
+            )
+            course.attempts.append(attempt_record(course.decision, looks))
+            return course
         if state is not None and state.phase is Phase.FAILED:
             course.decision, course.looked, course.between = Decision(), context.get_time(), None
             course.attempts.append(attempt_record(course.decision, looks))
@@ -130,7 +140,7 @@ def _run(
         course.between = _parts_between_fingers(world, context, decision)
         course.attempts.append(attempt_record(decision, looks))
         if meshcat is not None:
-            _draw(meshcat, decision, world)
+            draw(meshcat, decision, world.planning_model.X_WL0)
         if decision.error is not None:
             return course
         execution = None if kept is None else kept.execution(decision)
@@ -174,16 +184,15 @@ def _record(course: _Course, scenario: Scenario, world: World, task: str) -> Epi
 
 
 def _look_around(
-    simulator: Simulator, world: World, judge: Judge, course: _Course
-) -> tuple[list[LookRecord], ExecutorState | None]:
+    simulator: Simulator, world: World, judge: Judge, course: _Course, looks: list[LookRecord]
+) -> ExecutorState | None:
     """Lets the arm take the further looks that the pipeline asks for, before anything is decided.
 
-    Returns:
-        What is recorded of them, and how the last one ended (None: there was none).
+    What is recorded of them is added to ``looks``. Returns how the last one ended; None: there was
+    none.
     """
     pipeline, context = world.pipeline, simulator.get_context()
     mine = pipeline.GetMyContextFromRoot(context)
-    looks: list[LookRecord] = []
     state = None
     while pipeline.executor.looks_left(pipeline.executor.GetMyContextFromRoot(context)) > 0:
         started = time.perf_counter()
@@ -196,7 +205,7 @@ def _look_around(
         course.wall += time.perf_counter() - planned
         if state.phase is Phase.FAILED:
             break
-    return looks, state
+    return state
 
 
 def _since_look(world: World, context: Context) -> float:
@@ -295,7 +304,8 @@ def _feasible_by_part(world: World, between: list[dict[str, float]]) -> dict[str
     }
 
 
-def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:
+def draw(meshcat: Meshcat, decision: Decision, X_WL0: Array) -> None:
+    """Draws all of a decision; the arm stands at ``X_WL0`` (4, 4)."""
     draw_decision(
         meshcat,
         cloud=decision.cloud,
@@ -303,7 +313,7 @@ def _draw(meshcat: Meshcat, decision: Decision, world: World) -> None:
         candidates=decision.candidates,
         choice=decision.choice,
         motion=decision.motion,
-        X_WL0=world.planning_model.X_WL0,
+        X_WL0=X_WL0,
     )
 
 

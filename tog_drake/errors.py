@@ -98,7 +98,7 @@ class NoPlan(EpisodeError):
 
 
 class NoImage(EpisodeError):
-    """A camera brings no images, or old ones: nothing is decided on them."""
+    """A camera brings no images, old ones, or no depth: nothing is decided on them."""
 
     outcome = "no_image"
 

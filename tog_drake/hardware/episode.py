@@ -9,7 +9,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
 from tog_drake.decision import Decision, decide
-from tog_drake.episode import Episode
+from tog_drake.episode import Episode, draw
 from tog_drake.errors import EpisodeError, Stopped
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.hardware.config import hardware_of
@@ -20,7 +20,7 @@ from tog_drake.record import HardwareRecord, new_record
 from tog_drake.safety import StopReason, check_motion
 from tog_drake.scenario import Scenario
 from tog_drake.stations.guard import GuardState
-from tog_drake.visualization import draw_decision, replay_html
+from tog_drake.visualization import replay_html
 
 LOST = 0.003  # [m] that the fingers close further during the lift: what they held is gone
 
@@ -120,7 +120,7 @@ def _run(
     decision = course.decision = decide(robot.pipeline, context)
     looked = loop.time
     if meshcat is not None:
-        _draw(meshcat, decision, robot)
+        draw(meshcat, decision, robot.planning_model.X_WL0)
     if decision.error is not None:
         return
     assert decision.motion is not None
@@ -189,18 +189,6 @@ def judge(
             f"{1e3 * after:.1f} mm apart after it"
         )
     return "lifted", None
-
-
-def _draw(meshcat: Meshcat, decision: Decision, robot: Robot) -> None:
-    draw_decision(
-        meshcat,
-        cloud=decision.cloud,
-        grasps=decision.grasps,
-        candidates=decision.candidates,
-        choice=decision.choice,
-        motion=decision.motion,
-        X_WL0=robot.planning_model.X_WL0,
-    )
 
 
 def _replay(robot: Robot, simulator: Simulator, meshcat: Meshcat, looked: float) -> str:
