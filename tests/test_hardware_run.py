@@ -168,10 +168,10 @@ def test_what_no_real_robot_can_do_is_refused_before_it_is_connected_to(tmp_path
     refused(run("{hardware: null}"), "no section hardware", "panda_lcm")
 
 
-def judged(closed, after, phase=Phase.DONE, broken=None):
+def judged(closed, after, phase=Phase.DONE, broken=None, opened=0.08):
     state = ExecutorState(phase=phase, opening_after=after)
     guarded = GuardState(GuardMode.STOPPED if broken else GuardMode.ARMED, broken=broken)
-    return judge(guarded, state, closed, 0.002)[0]
+    return judge(guarded, state, (opened, closed), 0.002)[0]
 
 
 def test_success_is_told_by_the_width_of_the_hand():
@@ -180,6 +180,7 @@ def test_success_is_told_by_the_width_of_the_hand():
     assert judged(0.012, 0.0085) == "dropped"
     assert judged(0.0005, 0.0005) == "empty"
     assert judged(0.0795, 0.0795) == "empty"  # it was told to close and did not
+    assert judged(0.0400, 0.0400, opened=0.0405) == "empty"  # nor here, where it is stuck
     assert judged(None, None, Phase.FAILED) == "collision"
     assert judged(0.012, 0.012, broken=(StopReason.TRACKING, "it strayed")) == "stopped"
 

@@ -20,6 +20,10 @@ from tog_drake.time_parameterization import JointLimits
 
 STILL = 0.02  # [rad/s] an arm that is slower stands
 SETTLED = 0.5  # [s] after the last command, in which the joints' controllers bring it to rest
+# In real time, a world that a busy computer simulates slowly moves by leaps towards what goes on in
+# real time: how fast it is counts as anybody next to it would see it.
+SEEN = 0.1  # [s] from one look to the next
+SETTLED_SLOWLY = 2.0  # [s]
 CHANGE = 0.5  # of the velocity limit: more from one command to the next is a discontinuity
 LOST = 10  # messages in a row at most, within a stop that is still recognized
 
@@ -48,7 +52,12 @@ def read_log(path: Path) -> list[Line]:
 
 
 def judge_wire(
-    lines: list[Line], *, ended: float, stopped: bool, foreign: frozenset[int] = frozenset()
+    lines: list[Line],
+    *,
+    ended: float,
+    stopped: bool,
+    foreign: frozenset[int] = frozenset(),
+    real_time: bool = False,
 ) -> Judged:
     """Returns what the log says.
 
@@ -57,12 +66,15 @@ def judge_wire(
         ended: Unix time [s] at which the commanding program had ended.
         stopped: whether the guard says that it stopped the motion.
         foreign: ``utime`` of the commands that somebody else sent.
+        real_time: whether the clock went on whether or not the world could follow.
     """
     judged = Judged()
     for verdict in (line["verdict"] for line in lines if line["event"] == "verdict"):
         judged.refused[verdict] = judged.refused.get(verdict, 0) + 1
     measured = [line for line in lines if line["event"] == "measured"]
     commands = [c for c in lines if c["event"] == "command" and c["utime"] not in foreign]
+    if real_time:
+        measured = as_seen(measured)
     _judge_measured(judged, measured)
     judged.commands = len(commands)
     if not commands:
@@ -79,9 +91,19 @@ def judge_wire(
     if stopped:
         _judge_stop(judged, q)
     judged.settled = _settled(measured, last)
-    if judged.settled is None or judged.settled > SETTLED:
-        judged.outside.append(f"the arm did not stand still {SETTLED:g} s after the last command")
+    longest = SETTLED_SLOWLY if real_time else SETTLED
+    if judged.settled is None or judged.settled > longest:
+        judged.outside.append(f"the arm did not stand still {longest:g} s after the last command")
     return judged
+
+
+def as_seen(measured: list[Line]) -> list[Line]:
+    """Returns the measurements with the speed from one look to the next, ``SEEN`` later."""
+    t, q = (np.array([m[key] for m in measured]) for key in ("time", "q"))
+    later = np.searchsorted(t, t + SEEN)
+    n = int((later < len(t)).sum())
+    v = (q[later[:n]] - q[:n]) / (t[later[:n]] - t[:n])[:, None]
+    return [{**m, "v": v_seen.tolist()} for m, v_seen in zip(measured[:n], v, strict=True)]
 
 
 def _judge_measured(judged: Judged, measured: list[Line]) -> None:

@@ -15,13 +15,13 @@ from tog_drake.executor import ExecutorState, Phase
 from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.connection import Robot, connect
 from tog_drake.hardware.real_time import RealTime
-from tog_drake.panda import MAX_OPENING
 from tog_drake.record import HardwareRecord, new_record
 from tog_drake.safety import StopReason, check_motion
 from tog_drake.scenario import Scenario
 from tog_drake.stations.guard import GuardState
 from tog_drake.visualization import replay_html
 
+CLOSED = 0.001  # [m] that the fingers close at least, or they did not close at all
 LOST = 0.003  # [m] that the fingers close further during the lift: what they held is gone
 
 Ask = Callable[[Decision, Callable[[], None]], bool]
@@ -78,6 +78,7 @@ class _Course:
     outcome: tuple[str, str | None] | None = None  # and the message; None: as the decision says
     moved: float | None = None  # [s] of wall time; None: it did not
     rule: StopReason | None = None
+    opening_open: float | None = None  # [m] when the fingers were told to close
     opening_closed: float | None = None  # [m] when the lift began
     opening_after: float | None = None  # [m] after the hold
     force: float | None = None  # [N] where the driver reports one
@@ -146,8 +147,10 @@ def _move(
     def ended() -> bool:
         state, hand = robot.state(context), robot.bus.hand.newest
         if state.phase is Phase.MOVE and state.motion is not None and hand is not None:
-            lift = state.start_time + state.motion.phase_times["lift"]
-            if loop.time >= lift and course.opening_closed is None:
+            played, begin = loop.time - state.start_time, state.motion.phase_times
+            if played >= begin["close"] and course.opening_open is None:
+                course.opening_open = hand.opening
+            if played >= begin["lift"] and course.opening_closed is None:
                 course.opening_closed = hand.opening
         return state.phase in (Phase.DONE, Phase.FAILED)
 
@@ -159,18 +162,22 @@ def _move(
     course.rule = guarded.broken[0] if guarded.broken else None
     course.opening_after = state.opening_after
     empty = robot.pipeline.executor.empty_opening
-    course.outcome = judge(guarded, state, course.opening_closed, empty)
+    openings = course.opening_open, course.opening_closed
+    course.outcome = judge(guarded, state, openings, empty)
 
 
 def judge(
-    guarded: GuardState, state: ExecutorState, opening_closed: float | None, empty: float
+    guarded: GuardState,
+    state: ExecutorState,
+    openings: tuple[float | None, float | None],
+    empty: float,
 ) -> tuple[str, str | None]:
     """Returns outcome and message of a motion, by the width of the hand alone.
 
     Args:
         guarded: what the guard did.
         state: how the executor ended.
-        opening_closed: [m] between the pads when the lift began; the hand arrives fully open.
+        openings: [m] between the pads when they were told to close, and when the lift began.
         empty: [m] a hand that is closed further holds nothing.
     """
     if guarded.broken is not None:
@@ -178,14 +185,14 @@ def judge(
         return "stopped", f"{how} (safety rule {rule.value}); nothing moves before it is run again"
     if state.phase is Phase.FAILED:
         return "collision", "the arm no longer followed its command and was stopped"
-    after = state.opening_after
-    if opening_closed is not None and opening_closed > MAX_OPENING - LOST:
-        return "empty", "the fingers did not close: see the hand's driver"
-    if opening_closed is None or after is None or opening_closed < empty:
+    (opened, closed), after = openings, state.opening_after
+    if closed is None or after is None or closed < empty:
         return "empty", "the fingers closed on nothing"
-    if after < empty or opening_closed - after > LOST:
+    if opened is None or opened - closed < CLOSED:
+        return "empty", "the fingers did not close: see the hand's driver"
+    if after < empty or closed - after > LOST:
         return "dropped", (
-            f"the fingers, {1e3 * opening_closed:.1f} mm apart when the lift began, were "
+            f"the fingers, {1e3 * closed:.1f} mm apart when the lift began, were "
             f"{1e3 * after:.1f} mm apart after it"
         )
     return "lifted", None
