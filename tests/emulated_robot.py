@@ -27,7 +27,8 @@ from tog_drake.stations.lcm_bus import (
 class Wire:
     """What a program that drives the robot hears and says."""
 
-    def __init__(self, log):
+    def __init__(self, log, process):
+        self.process = process
         self.lcm = make_lcm()
         self.arm = Inbox(self.lcm, PANDA_STATUS, read_arm_status)
         self.hand = Inbox(self.lcm, HAND_STATUS, read_hand_status)
@@ -78,7 +79,7 @@ def emulated_robot(folder, *options):
     )
     try:
         assert "an emulated robot" in process.stdout.readline(), process.stderr.read()
-        wire = Wire(log)
+        wire = Wire(log, process)
         assert wire.until(lambda: wire.arm.newest and wire.hand.newest)
         yield wire
         process.send_signal(signal.SIGINT)

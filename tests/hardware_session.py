@@ -5,12 +5,14 @@ python hardware_session.py lifted|stopped|ruled FOLDER
 
 import itertools
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
 import time
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -23,10 +25,18 @@ from tog_drake.panda import V_MAX
 from tog_drake.resources import resource_dir
 from tog_drake.safety import PERIOD
 from tog_drake.scenario import load_scenario
-from tog_drake.stations.lcm_bus import PANDA_COMMAND, arm_command_message, make_lcm
+from tog_drake.stations.lcm_bus import (
+    PANDA_COMMAND,
+    PANDA_STATUS,
+    RobotMode,
+    arm_command_message,
+    arm_status_message,
+    make_lcm,
+)
 
 TASK = "hand me the hammer"
 SEED = 0
+GRIP_FORCE = 55.0  # [N] the most that safety allows; the scenario asks for more
 # A busy computer makes everything late. What is judged here is where the arm goes, not when.
 PATIENT = """{
   hardware: {safety: {status_age: 2.0, image_age: 20.0, stall: 2.0, tracking_error: 0.5}},
@@ -57,9 +67,12 @@ def sent(wire):
     return len(wire.logged("command")) + len(wire.logged("hand_command"))
 
 
-def commanded(wire):
-    """How the commands that arrived leap, against what the joints may do, and where they begin."""
-    commands = wire.logged("command")
+def commanded(wire, before=0):
+    """How the commands that arrived leap, against what the joints may do, and where they begin.
+
+    Those ``before`` are of an earlier run.
+    """
+    commands = wire.logged("command")[before:]
     q, t = (np.array([c[k] for c in commands], dtype=float) for k in ("q", "utime"))
     measured = [m for m in wire.logged("measured") if m["time"] <= commands[0]["time"]][-1]
     dt = np.maximum(np.diff(t) / 1e6, PERIOD)[:, None]
@@ -69,7 +82,11 @@ def commanded(wire):
         "first": float(np.abs(q[0] - measured["q"]).max()),
         "fastest": float((np.abs(v) / V_MAX).max()),
         "discontinuity": float((np.abs(np.diff(v, axis=0)) / V_MAX).max()),
-        "refused": [v["verdict"] for v in wire.logged("verdict") if v["verdict"] != "expired"],
+        "refused": [
+            v["verdict"]
+            for v in wire.logged("verdict")
+            if v["verdict"] != "expired" and v["time"] >= commands[0]["time"]
+        ],
     }
 
 
@@ -99,23 +116,33 @@ def program():
 
 def lifted(folder):
     with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
+        gentle = PATIENT.replace("safety: {", f"safety: {{grip_force: {GRIP_FORCE}, ")
         patient = ("--scenario-text", PATIENT)
         told = {"dry": hardware_run(folder / "dry", "--dry-run", *patient)}
         told["dry_sent"] = sent(wire)
         told["program"] = program()
         told["program_sent"] = sent(wire)
-        told["run"] = hardware_run(folder / "run", "--yes", "--speed", "0.5", *patient)
+        options = ("--yes", "--speed", "0.5", "--scenario-text", gentle)
+        told["run"] = hardware_run(folder / "run", *options)
         assert told["run"]["status"] == 0, told["run"]
         told["commanded"] = commanded(wire)
         told["hand"] = [
-            c["verdict"] for c in wire.logged("hand_command") if c["verdict"] != "ignored"
+            (c["verdict"], c["force"])
+            for c in wire.logged("hand_command")
+            if c["verdict"] != "ignored"
         ]
         told["files"] = sorted(path.name for path in (folder / "run").iterdir())
     return told
 
 
 def stopped(folder):
-    with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
+    reflex = "reflex:PANDA_STATUS:0.3:3"  # while it moves for the first time
+    with emulated_robot(
+        folder, "--seed", str(SEED), "--scenario-text", PATIENT, "--fault", reflex
+    ) as wire:
+        told = {"reflex": {**in_this_process(), "still": stillness(wire, 0.5)}}
+        assert wire.until(lambda: wire.arm.newest.robot_mode == RobotMode.MOVE)
+        before = len(wire.logged("command"))
 
         def interrupt(process):
             home = wire.arm.newest.q
@@ -123,18 +150,20 @@ def stopped(folder):
             process.send_signal(signal.SIGINT)
 
         options = ("--yes", "--speed", "0.25", "--scenario-text", PATIENT)
-        told = {"run": hardware_run(folder / "run", *options, while_running=interrupt)}
-        told["commanded"] = commanded(wire)
+        told["run"] = hardware_run(folder / "run", *options, while_running=interrupt)
+        told["commanded"] = commanded(wire, before)
         told["still"] = stillness(wire, 1.0)
         return told
 
 
-# Rule of safety, and the setting under which the planned motion would break it.
+# Rule of safety, and the setting under which the planned motion would break it. That of jerk cannot
+# be the first: whoever breaks it from rest breaks that of acceleration in the same period.
 REFUSED = {
     "workspace": {"workspace_upper": [0.85, 0.5, 0.3]},
     "hand_speed": {"hand_speed": 0.05},
     "velocity": {"velocity": 0.05},
     "position": {"position_margin": 0.45},
+    "acceleration": {"acceleration": 0.05, "velocity": 0.05},
 }
 
 
@@ -147,6 +176,10 @@ def ruled(folder):
     ) as wire:
         for rule, settings in REFUSED.items():
             told[rule] = {**in_this_process(**settings), "sent": sent(wire)}
+        told["start"] = {
+            **in_this_process(ask=moved_by_hand(wire.arm.newest.q)),
+            "sent": sent(wire),
+        }
         told["no_image"] = {**in_this_process(channel="NOBODY"), "sent": sent(wire)}
         with somebody_else(wire):
             told["foreign_command"] = in_this_process()
@@ -156,12 +189,19 @@ def ruled(folder):
             ("tracking", {"tracking_error": 0.002}),
             ("stalled", {"stall": 0.3, "loop": Stalling}),
             ("operator", {"loop": Clicked}),
+            ("terminated", {"loop": Terminated}),
+            ("deadline", {"loop": Hurried}),
+            ("stale_status", {"loop": hung(wire.process), "status_age": 0.4}),
         ):
             told[rule] = {**in_this_process(**settings), "still": stillness(wire, 0.5)}
     return told
 
 
-def in_this_process(*, channel="TOG_WRIST", loop=RealTime, **settings):
+def yes(*_):
+    return True
+
+
+def in_this_process(*, channel="TOG_WRIST", loop=RealTime, ask=yes, **settings):
     """Runs one episode with these settings of safety; returns outcome and rule."""
     scenario = load_scenario("panda_lcm", PATIENT, seed=SEED)
     for name, value in settings.items():
@@ -173,9 +213,7 @@ def in_this_process(*, channel="TOG_WRIST", loop=RealTime, **settings):
         mock.patch.multiple(connection, PATIENCE=patience),
         mock.patch.object(episode, "RealTime", loop),
     ):
-        found = episode.run_hardware_episode(
-            scenario, name="panda_lcm", task=TASK, ask=lambda *_: True
-        ).record
+        found = episode.run_hardware_episode(scenario, name="panda_lcm", task=TASK, ask=ask).record
     return {"outcome": found["outcome"], "rule": found["hardware"]["rule"]}
 
 
@@ -200,23 +238,88 @@ class Clicked(RealTime):
         super().__init__(simulator, robot, button)
 
 
+class Terminated(RealTime):
+    """Gets SIGTERM while the arm moves."""
+
+    ticks = 0
+
+    def listen(self, *, cameras=True):
+        self.ticks += not cameras
+        if self.ticks == 60:
+            os.kill(os.getpid(), signal.SIGTERM)
+        super().listen(cameras=cameras)
+
+
+class Hurried(RealTime):
+    """Gives a motion too little time."""
+
+    def move(self, ended, longest):
+        super().move(ended, longest=0.4)
+
+
+def hung(driver):
+    """A loop while whose arm moves the driver hangs."""
+
+    class Hung(RealTime):
+        ticks = 0
+
+        def listen(self, *, cameras=True):
+            self.ticks += not cameras
+            if self.ticks == 60:
+                driver.send_signal(signal.SIGSTOP)
+            super().listen(cameras=cameras)
+
+        def move(self, ended, longest):
+            super().move(ended, longest)
+            driver.send_signal(signal.SIGCONT)
+
+    return Hung
+
+
 @contextmanager
-def somebody_else(wire):
-    """Another program commands the arm to stay where it is."""
-    q, over = wire.arm.newest.q, threading.Event()
+def meanwhile(act, period):
+    """Does something again and again."""
+    over = threading.Event()
 
-    def command():
+    def repeat():
         lcm = make_lcm()
-        while not over.wait(0.02):
-            lcm.Publish(PANDA_COMMAND, arm_command_message(q, int(1e6 * time.time())))
+        while not over.wait(period):
+            act(lcm)
 
-    thread = threading.Thread(target=command)
+    thread = threading.Thread(target=repeat)
     thread.start()
     try:
         yield
     finally:
         over.set()
         thread.join()
+
+
+def somebody_else(wire):
+    """Another program commands the arm to stay where it is."""
+    q = wire.arm.newest.q
+    return meanwhile(
+        lambda lcm: lcm.Publish(PANDA_COMMAND, arm_command_message(q, int(1e6 * time.time()))),
+        period=0.02,
+    )
+
+
+def moved_by_hand(q):
+    """Who is asked says yes, but by then the arm is no more where it was, ``q``."""
+    status = partial(arm_status_message, q + 0.05, np.zeros(7), np.zeros(7), RobotMode.MOVE)
+
+    def ask(decision, listen):
+        with meanwhile(
+            # What the emulated robot says is older than this, and does not count.
+            lambda lcm: lcm.Publish(PANDA_STATUS, status(int(1e6 * (time.time() + 0.9)))),
+            period=0.02,
+        ):
+            for _ in range(30):
+                listen()
+                time.sleep(0.01)
+        return True
+
+    return ask
 
 
 if __name__ == "__main__":

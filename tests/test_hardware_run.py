@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command import refused, tog
-from hardware_session import PATIENT, REFUSED
+from hardware_session import GRIP_FORCE, PATIENT, REFUSED
 from own_network import in_own_network, needs_own_network
 
 from tog_drake.decision import Decision
@@ -81,7 +81,7 @@ def test_no_command_is_a_jump_and_the_first_is_where_the_arm_is(lifted):
     assert told["fastest"] <= SafetyConfig().velocity
     assert told["discontinuity"] <= 0.5
     assert told["refused"] == []
-    assert lifted["hand"] == ["grasp"]  # it was open already, and is told once to close
+    assert lifted["hand"] == [["grasp", GRIP_FORCE]]  # it was open already, and is told to close
 
 
 @needs_own_network
@@ -106,6 +106,11 @@ def test_a_motion_that_would_break_a_rule_is_not_begun(rule, ruled):
 
 
 @needs_own_network
+def test_a_motion_that_does_not_begin_where_the_arm_is_by_now_is_not_begun(ruled):
+    assert ruled["start"] == {"outcome": "stopped", "rule": "start", "sent": 0}
+
+
+@needs_own_network
 def test_without_fresh_images_nothing_is_decided(ruled):
     assert ruled["no_image"] == {"outcome": "no_image", "rule": None, "sent": 0}
 
@@ -116,10 +121,24 @@ def test_an_arm_that_somebody_else_commands_is_left_alone(ruled):
 
 
 @needs_own_network
-@pytest.mark.parametrize("rule", ["external_torque", "tracking", "stalled", "operator"])
-def test_what_breaks_a_rule_on_the_way_stops_the_arm_which_then_stands_still(rule, ruled):
-    assert (ruled[rule]["outcome"], ruled[rule]["rule"]) == ("stopped", rule)
-    moved, commands = ruled[rule]["still"]
+@pytest.mark.parametrize(
+    ("event", "rule"),
+    [
+        *[(rule, rule) for rule in ("external_torque", "tracking", "stalled", "operator")],
+        *[("terminated", "operator"), ("deadline", "deadline"), ("stale_status", "stale_status")],
+    ],
+)
+def test_what_breaks_a_rule_on_the_way_stops_the_arm_which_then_stands_still(event, rule, ruled):
+    assert (ruled[event]["outcome"], ruled[event]["rule"]) == ("stopped", rule)
+    moved, commands = ruled[event]["still"]
+    assert moved < 0.002
+    assert commands == 0
+
+
+@needs_own_network
+def test_where_the_controller_stops_the_arm_it_is_commanded_no_more_and_stands(stopped):
+    assert (stopped["reflex"]["outcome"], stopped["reflex"]["rule"]) == ("stopped", "robot_mode")
+    moved, commands = stopped["reflex"]["still"]
     assert moved < 0.002
     assert commands == 0
 

@@ -164,7 +164,8 @@ class Emulator:
         for data in self._lines[HAND_COMMAND].due(now):
             opening = self._state.opening
             said = self._hand.receive(data, opening).value
-            self._log.write(now, "hand_command", verdict=said, opening=opening)
+            force = self._hand.force
+            self._log.write(now, "hand_command", verdict=said, opening=opening, force=force)
 
     def _tick(self, now: float) -> None:
         """What a period brings: the world a little later, and what the drivers say of it."""

@@ -39,6 +39,7 @@ class HandDriver:
 
     def __init__(self, opening: float, stiffness: float):
         self.rate = 0.0  # [m/s] what the status says
+        self.force = 0.0  # [N] that the last command named
         self._stiffness = stiffness
         self._command = opening  # [m] what the fingers are told
         self._last: tuple[float, float] | None = None  # width [mm] and force [N] of the command
@@ -56,6 +57,7 @@ class HandDriver:
         if (m.target_position_mm, m.force) == self._last:
             return HandVerdict.IGNORED
         self._last = m.target_position_mm, m.force
+        self.force = m.force
         self._goal = min(max(m.target_position_mm / 1e3, 0.0), MAX_OPENING)
         self.rate = MOVING_RATE
         self._command = opening
