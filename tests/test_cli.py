@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -18,6 +19,8 @@ from tog_drake import cli
 from tog_drake.benchmark.cells import scenario_of
 from tog_drake.record import OUTCOMES, SCHEMA, EpisodeRecord
 from tog_drake.resources import resource_dir
+from tog_drake.scenario import load_scenario
+from tog_drake.world import build_world
 
 
 def _leaves(group, *path):
@@ -100,13 +103,54 @@ def test_every_subcommand_has_help_with_an_example_that_can_be_typed(name):
     COMMANDS[name].make_context(name, arguments)
 
 
-@pytest.mark.parametrize(
-    "arguments", [(), ("run",), ("choose",), ("eval",), ("diagram",), ("show",)]
-)
+def test_alone_it_shows_the_stages_in_order_and_commands_to_begin_with():
+    done = tog()
+    assert (done.status, done.err) == (0, "")
+    assert done.out.isascii()
+    assert max(map(len, done.out.splitlines())) <= 80
+    loaded = load_scenario("Hammer")
+    diagram = build_world(loaded, target="hammer").diagram.GetSubsystemByName("pipeline")
+    stages = [system.get_name() for system in diagram.GetSystems()]
+    shown = re.findall(r"^  (?:->|  ) (\w+)", done.out, re.M)
+    assert shown == stages
+    commands = re.findall(r"^  (tog .+?)  ", done.out, re.M)
+    assert len(commands) == 5
+    for _, name, *arguments in map(shlex.split, commands):
+        COMMANDS[name].make_context(name, arguments)  # raises where it cannot be typed so
+
+
+@pytest.mark.parametrize("arguments", [("run",), ("choose",), ("eval",), ("diagram",), ("show",)])
 def test_without_what_is_needed_the_usage_is_shown(arguments):
     done = tog(*arguments)
     assert done.status == 2
     assert "Usage: tog" in done.out + done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [("tog ru", {"run"}), ("tog show Mu", {"Muddler", "Mug", "MugHandleHidden"})],
+)
+def test_a_shell_completes_commands_and_scenarios(words, offered, monkeypatch):
+    monkeypatch.setenv("_TOG_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+    done = tog()
+    assert (done.status, done.err) == (0, "")
+    assert set(done.out.split()) == offered
+
+
+@pytest.mark.parametrize(
+    ("shell", "line"),
+    [
+        ("bash", "complete -o default -F _tog_completion tog"),
+        ("zsh", "compdef _tog_completion tog"),
+    ],
+)
+def test_the_completion_of_a_shell_is_shown(shell, line, monkeypatch):
+    monkeypatch.setattr("typer.completion._get_shell_name", lambda: shell)
+    done = tog("--show-completion")
+    assert (done.status, done.err) == (0, "")
+    assert line in done.out.splitlines()
 
 
 # --- bad input ----------------------------------------------------------------------------------
@@ -209,7 +253,7 @@ def test_a_traceback_is_shown_only_when_it_is_asked_for():
 
 
 def test_a_defect_of_the_program_has_a_status_of_its_own_and_no_traceback(monkeypatch):
-    monkeypatch.setattr("tog_drake.scenario.scenario_files", lambda: {}["lost"])
+    monkeypatch.setattr("tog_drake.resources.scenario_files", lambda: {}["lost"])
     done = tog("scenarios")
     assert (done.status, done.out) == (3, "")
     assert done.err == "tog: internal error, KeyError: 'lost' (--debug shows where)\n"

@@ -10,6 +10,7 @@ from tog_drake.benchmark.cells import CLUTTER, SCANNED
 from tog_drake.benchmark.suite import object_labels
 from tog_drake.errors import InputError
 from tog_drake.pipeline import Antipodal, Oracle, Random
+from tog_drake.resources import scenario_files
 from tog_drake.scenario import (
     DrakeModels,
     Scenario,
@@ -17,7 +18,6 @@ from tog_drake.scenario import (
     model_files,
     parse_scenario,
     sampled_directives,
-    scenario_files,
 )
 
 

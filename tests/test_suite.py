@@ -7,7 +7,8 @@ from tog_drake.benchmark.cells import make_cells
 from tog_drake.benchmark.method import Method, make_methods
 from tog_drake.benchmark.suite import SCENARIO, load_suite, object_labels, suite_files
 from tog_drake.errors import InputError
-from tog_drake.scenario import load_scenario, scenario_files
+from tog_drake.resources import scenario_files
+from tog_drake.scenario import load_scenario
 
 TRIALS = load_suite("tog29").trials
 LION, MUG = "gso_Schleich_Lion_Action_Figure", "ycb_025_mug"

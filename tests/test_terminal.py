@@ -1,7 +1,9 @@
 """What the command prints of an episode."""
 
+import re
 import unicodedata
 from io import StringIO
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -10,6 +12,7 @@ from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.terminal import (
+    console_for,
     deciding,
     print_answers,
     print_looks,
@@ -17,6 +20,27 @@ from tog_drake.terminal import (
     print_weights,
     say,
 )
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.parametrize(("no_color", "coloured"), [("", True), ("1", False)])
+def test_no_color_is_obeyed_on_a_terminal(no_color, coloured, monkeypatch, capsys):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then takes this for a terminal
+    monkeypatch.setenv("NO_COLOR", no_color)
+    console = console_for(as_json=False)
+    with console.status("deciding ..."):
+        say(console, "chosen")
+    colours = re.findall(r"\x1b\[(?:\d+;)*[349]\d(?:;\d+)*m", capsys.readouterr().out)
+    assert bool(colours) == coloured
+
+
+def test_nothing_is_coloured_but_by_the_one_console_that_obeys():
+    for path in (ROOT / "tog_drake").rglob("*.py"):
+        if path.name != "terminal.py":
+            text = path.read_text(encoding="utf-8")
+            assert not re.search(r"\bConsole\(|\\x1b|\\033|secho|\bstyle\(", text), path
 
 
 def printed(record):

@@ -12,6 +12,7 @@ from tog_drake.benchmark_commands import evaluate_, label, report
 from tog_drake.errors import TogError
 from tog_drake.hardware_commands import app as hardware_app
 from tog_drake.look_commands import diagram, doctor, scenarios, show
+from tog_drake.overview import overview
 from tog_drake.run_commands import choose, demo, run
 from tog_drake.serve_commands import app as serve_app
 from tog_drake.terminal import keep_drake_quiet
@@ -21,10 +22,10 @@ from tog_drake.vlm_commands import prompts
 from tog_drake.weights_commands import app as weights_app
 
 app = typer.Typer(
-    no_args_is_help=True,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
+    context_settings={"color": False},  # nor does typer colour what it says itself
     help="Training-free task-oriented grasping for the Franka Panda, in Drake. "
     "Add --debug to any command for a traceback.",
 )
@@ -53,6 +54,12 @@ app.add_typer(assets_app, name="assets")
 app.add_typer(weights_app, name="weights")
 app.add_typer(serve_app, name="serve")
 app.add_typer(hardware_app, name="hardware")
+
+
+@app.callback()
+def _alone(context: typer.Context) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(overview())
 
 
 def main() -> None:

@@ -123,8 +123,7 @@ def _version(distribution: str, module: str | None = None) -> str:
 
 
 def _models() -> str:
-    from tog_drake.resources import resource_dir
-    from tog_drake.scenario import scenario_files
+    from tog_drake.resources import resource_dir, scenario_files
 
     if not scenario_files():
         raise _ProblemError(f"no scenarios in {resource_dir('diagrams')}; reinstall tog_drake")

@@ -15,13 +15,14 @@ from tog_drake.options import (
     SeedOption,
     SelectorOption,
     SelectorOptions,
+    scenario_names,
 )
 from tog_drake.terminal import console_for, print_json, say
 
 
 def scenarios(as_json: JsonOption = False) -> None:
     """List the scenarios that come with the package."""
-    from tog_drake.scenario import scenario_files
+    from tog_drake.resources import scenario_files
 
     console = console_for(as_json)
     found = {name: _first_comment(path) for name, path in scenario_files().items()}
@@ -39,7 +40,11 @@ def _first_comment(path: Path) -> str:
 
 def show(
     scenario: Annotated[
-        str, typer.Argument(help="Name or YAML file; or `objects`: a picture of all objects.")
+        str,
+        typer.Argument(
+            help="Name or YAML file; or `objects`: a picture of all objects.",
+            autocompletion=scenario_names,
+        ),
     ],
     scenario_text: ScenarioText = None,
     seed: SeedOption = None,
@@ -69,7 +74,9 @@ def show(
 
 
 def diagram(
-    scenario: Annotated[str, typer.Argument(help="Name or YAML file.")],
+    scenario: Annotated[
+        str, typer.Argument(help="Name or YAML file.", autocompletion=scenario_names)
+    ],
     out: Annotated[Path, typer.Option(help="SVG file.")],
     scenario_text: ScenarioText = None,
     selector: SelectorOption = None,

@@ -27,11 +27,20 @@ MODEL_HELP = (
 _REPLAY = "replay:"
 DEFAULT_SCENARIO = "Hammer"
 
+
+def scenario_names() -> list[str]:
+    """The names that a shell completes a scenario's to."""
+    from tog_drake.resources import scenario_files
+
+    return list(scenario_files())
+
+
 ScenarioOption = Annotated[
     str | None,
     typer.Option(
         "--scenario",
         help=f"Name (see `tog scenarios`) or YAML file; by default {DEFAULT_SCENARIO}.",
+        autocompletion=scenario_names,
     ),
 ]
 ScenarioText = Annotated[

@@ -24,7 +24,7 @@ from tog_drake.errors import InputError
 from tog_drake.hardware.config import HardwareConfig
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.placement import Settle, placed
-from tog_drake.resources import make_package_map, resource_dir
+from tog_drake.resources import make_package_map, scenario_files
 from tog_drake.schema_check import check_yaml
 
 SIDE_CAMERAS = "side_cameras"  # the scenario that has them
@@ -100,11 +100,6 @@ def _table() -> ModelDirective:
     return ModelDirective(
         add_directives=AddDirectives(file="package://tog_drake/scenes/table.dmd.yaml")
     )
-
-
-def scenario_files() -> dict[str, Path]:
-    """Returns the scenarios that come with the package, by name."""
-    return {path.stem: path for path in sorted(resource_dir("diagrams").glob("*.yaml"))}
 
 
 def load_scenario(

@@ -11,7 +11,8 @@ from tog_drake.benchmark.method import Method
 from tog_drake.benchmark.suite import SCENARIO, Suite, Trial
 from tog_drake.cameras import with_noise
 from tog_drake.errors import InputError
-from tog_drake.scenario import Scenario, load_scenario, scenario_files
+from tog_drake.resources import scenario_files
+from tog_drake.scenario import Scenario, load_scenario
 from tog_drake.view_options import ViewOptions
 
 CLUTTER = ("Household", "Kitchen", "Tools")

@@ -21,7 +21,8 @@ from tog_drake.object_parts import labels_file
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.proposers.contact_graspnet.proposer import ContactGraspNet, checkpoint_file
 from tog_drake.proposers.file import File
-from tog_drake.scenario import Scenario, model_files, scenario_files
+from tog_drake.resources import scenario_files
+from tog_drake.scenario import Scenario, model_files
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.view_scorers.detector import Detector, detector_files
 from tog_drake.view_scorers.vlm_compare import VlmCompare

@@ -30,8 +30,8 @@ from tog_drake.benchmark.tables import PAPER
 from tog_drake.errors import InputError
 from tog_drake.files import read_yaml
 from tog_drake.object_parts import ObjectParts, labels_file, load_parts
-from tog_drake.resources import resource_dir
-from tog_drake.scenario import Scenario, load_scenario, scenario_files
+from tog_drake.resources import resource_dir, scenario_files
+from tog_drake.scenario import Scenario, load_scenario
 from tog_drake.world import load_objects
 
 CATEGORIES = (*PAPER, "choose")
