@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
-from tog_drake.saved_view import load_intrinsics, load_pose, load_view
+from tog_drake.saved_view import load_intrinsics, load_pose, load_view, save_view
+from tog_drake.values import Intrinsics, View
 
 CAMERA = {"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "width": 64, "height": 48}
 
@@ -123,3 +124,22 @@ def test_a_pose_must_be_rigid(tmp_path):
     path.write_text("[[1, 2], [3]]")
     with pytest.raises(InputError, match="4×4"):
         load_pose(path)
+
+
+def test_a_view_that_was_written_is_read_as_it_was(tmp_path):
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0.3, 2.0, (48, 64)).astype(np.float32)
+    depth[0, 0], depth[1, 1] = 0.0, 70.0
+    X_WC = np.diag([1.0, -1.0, -1.0, 1.0])
+    X_WC[2, 3] = 0.8
+    camera = Intrinsics(width=64, height=48, fx=60.0, fy=61.0, cx=31.5, cy=23.5)
+    rgb = rng.integers(0, 255, (48, 64, 3), np.uint8)
+    save_view(tmp_path, View(rgb, depth, camera, X_WC))
+    paths = [tmp_path / name for name in ("color.png", "depth.png", "camera.json")]
+    read = load_view(*paths)
+    np.testing.assert_array_equal(read.rgb, rgb)
+    assert read.intrinsics == camera
+    assert read.depth[0, 0] == read.depth[1, 1] == 0.0  # holes, and too far to be written
+    rest = depth < 3.0
+    np.testing.assert_allclose(read.depth[rest], depth[rest], atol=5.1e-4)
+    np.testing.assert_allclose(load_pose(tmp_path / "pose.json"), X_WC)

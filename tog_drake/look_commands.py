@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from tog_drake.errors import InputError
-from tog_drake.files import check_file
+from tog_drake.files import check_file, check_folder
 from tog_drake.options import (
     JsonOption,
     ModelOption,
@@ -52,13 +52,23 @@ def show(
         Path | None,
         typer.Option(help="Write a static page (of `objects`, a PNG) instead of serving one."),
     ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write what the hand's camera sees to this folder, as `tog choose` reads it: "
+            "color.png, depth.png, camera.json, pose.json."
+        ),
+    ] = None,
 ) -> None:
-    """Show a scenario in Meshcat: live on localhost until Ctrl-C, or as a static page."""
+    """Show a scenario in Meshcat: live on localhost until Ctrl-C, as a page, or as images."""
+    from tog_drake.saved_view import save_view
     from tog_drake.scenario import load_scenario
-    from tog_drake.showing import serve_scene, write_objects, write_scene
+    from tog_drake.showing import first_view, serve_scene, write_objects, write_scene
 
     if out is not None:
         check_file(out)
+    if images is not None:
+        check_folder(images, "--images")
     if scenario == "objects":
         if out is None:
             raise InputError("tog show objects draws a picture; say where: --out objects.png")
@@ -66,11 +76,14 @@ def show(
         return
     loaded = load_scenario(scenario, scenario_text, seed=seed)
     console = console_for(as_json=False)
-    if out is None:
-        serve_scene(loaded, console)
-    else:
+    if images is not None:
+        save_view(images, first_view(loaded))
+        say(console, f"images: {images}")
+    if out is not None:
         write_scene(loaded, out)
         say(console, f"page: {out}")
+    if images is None and out is None:
+        serve_scene(loaded, console)
 
 
 def diagram(

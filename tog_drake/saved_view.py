@@ -1,14 +1,17 @@
-"""Reads a colour-and-depth view from files: everything is checked before it is believed."""
+"""Reads a colour-and-depth view from files, checking everything, and writes one."""
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tog_drake.drawing import encode_png
 from tog_drake.errors import InputError
+from tog_drake.files import write_atomically
 from tog_drake.values import Array, Intrinsics, View
 
 _INTRINSICS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -48,6 +51,23 @@ def load_view(
             f"images are {_size(metres)}"
         )
     return View(color, metres, camera, np.eye(4))
+
+
+def save_view(folder: Path, view: View) -> None:
+    """Writes a view as the others here read it: ``color.png``, ``depth.png``, ``camera.json``,
+    ``pose.json``.
+
+    The depth has whole millimetres, and holes where it is beyond 65 m. Each file is written whole
+    or not at all.
+    """
+    import cv2
+
+    units = np.round(_PNG_UNITS_PER_METRE * view.depth)
+    depth = np.where(units <= np.iinfo(np.uint16).max, units, 0).astype(np.uint16)
+    write_atomically(folder / "color.png", encode_png(view.rgb))
+    write_atomically(folder / "depth.png", cv2.imencode(".png", depth)[1].tobytes())
+    write_atomically(folder / "camera.json", json.dumps(asdict(view.intrinsics), indent=1) + "\n")
+    write_atomically(folder / "pose.json", json.dumps({"X_WC": view.X_WC.tolist()}) + "\n")
 
 
 def load_intrinsics(path: Path) -> Intrinsics:

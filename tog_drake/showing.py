@@ -14,8 +14,10 @@ from tog_drake.files import write_atomically
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.values import View
 from tog_drake.visualization import make_meshcat
 from tog_drake.vlm_record import exchanges_of
+from tog_drake.world import build_world, load_objects, look
 
 
 def show_live(console: Console) -> Meshcat:
@@ -60,6 +62,15 @@ def _scene(scenario: Scenario) -> Meshcat:
 def write_scene(scenario: Scenario, path: Path) -> None:
     """Writes the scene as it is at the start as a static page."""
     write_atomically(path, _scene(scenario).StaticHtml())
+
+
+def first_view(scenario: Scenario) -> View:
+    """Returns what the pipeline's camera sees before anything moves."""
+    world = build_world(scenario, target=next(iter(load_objects(scenario)), None))
+    context = look(world, scenario, "").get_context()
+    pipeline = world.pipeline
+    view: View = pipeline.GetOutputPort("view").Eval(pipeline.GetMyContextFromRoot(context))
+    return view
 
 
 def write_objects(path: Path) -> Path:
