@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from charuco_views import BOARD, CAMERA, MOUNT, image, pose, postures
 from command import refused, tog
+from PIL import Image
 from pydrake.lcm import DrakeLcm
 
 from tog_drake.errors import InputError
@@ -15,6 +16,7 @@ from tog_drake.hardware.calibration_views import load_views, save_views, take_vi
 from tog_drake.hardware.mount import mount_of, with_mount
 from tog_drake.scenario import Scenario, parse_scenario
 from tog_drake.stations.lcm_bus import PANDA_STATUS, ImagePair, RobotMode, arm_status_message
+from tog_drake.values import Intrinsics
 
 N = 12
 HOSTILE_NAMES = ("../01.png", "/etc/passwd", "", None, 3)
@@ -169,6 +171,27 @@ def test_the_command_writes_a_copy_and_says_how_good_it_is(views, tmp_path):
     done = tog("hardware", "calibrate", *arguments)
     assert done.status == 0, done.err
     assert file.read_text() == copy.read_text()
+
+
+def test_the_board_to_print_is_as_large_as_it_says_and_is_found_in_its_own_picture(tmp_path):
+    file = tmp_path / "board.png"
+    size = ("--board", "9x6", "--square", "0.025", "--marker", "0.018")
+    done = tog("hardware", "board", "--out", file, *size)
+    assert done.status == 0, done.err
+    assert "225 x 150 mm" in done.out
+    with Image.open(file) as picture:
+        printed = np.array(picture.size) / np.array(picture.info["dpi"]) * 0.0254
+        rgb = np.array(picture.convert("RGB"))
+    np.testing.assert_allclose(printed, [0.225, 0.150], atol=1e-4)
+    # From a metre above it, a camera whose pixels are those of the print sees this very picture.
+    height, width, _ = rgb.shape
+    focal = width / 0.225
+    camera = Intrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+    sight = see_board("it", rgb, np.zeros(7), Board(9, 6, 0.025, 0.018), camera)
+    assert len(sight.pixel) == 8 * 5
+    np.testing.assert_allclose(sight.X_CT[:3, 3], [-0.1125, -0.075, 1.0], atol=2e-3)
+    refused(tog("hardware", "board", "--out", tmp_path / "board.jpg"), ".png")
+    refused(tog("hardware", "board", "--out", file, "--square", "2"), "does not fit")
 
 
 def test_what_cannot_be_calibrated_leaves_the_file_as_it_was(views, tmp_path):

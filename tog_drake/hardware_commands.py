@@ -25,6 +25,11 @@ RealScenarioOption = Annotated[
     ),
 ]
 
+SquaresOption = Annotated[str, typer.Option("--board", help="Squares of the board: COLUMNSxROWS.")]
+SquareOption = Annotated[float, typer.Option(help="[m] side of a square, as measured.")]
+MarkerOption = Annotated[float, typer.Option(help="[m] side of a marker.")]
+DictionaryOption = Annotated[str, typer.Option(help="Of the markers.")]
+
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="A real robot, or one that is emulated."
 )
@@ -94,10 +99,10 @@ def calibrate(
     out: Annotated[
         Path | None, typer.Option(help="Write a copy of the scenario instead of changing it.")
     ] = None,
-    board: Annotated[str, typer.Option(help="Squares of the board: COLUMNSxROWS.")] = "7x5",
-    square: Annotated[float, typer.Option(help="[m] side of a square, as measured.")] = 0.04,
-    marker: Annotated[float, typer.Option(help="[m] side of a marker.")] = 0.03,
-    dictionary: Annotated[str, typer.Option(help="Of the markers.")] = "5X5_100",
+    board: SquaresOption = "7x5",
+    square: SquareOption = 0.04,
+    marker: MarkerOption = 0.03,
+    dictionary: DictionaryOption = "5X5_100",
     as_json: JsonOption = False,
 ) -> None:
     """Find where the camera sits on the hand, from views of a ChArUco board that stands still."""
@@ -115,6 +120,33 @@ def calibrate(
         tell=lambda line: say(console, line),
     )
     print_json(as_json, found)
+
+
+@app.command(epilog="Example: tog hardware board --out board.png")
+def board(
+    *,
+    out: Annotated[Path, typer.Option(help="PNG file.")],
+    board: SquaresOption = "7x5",
+    square: Annotated[float, typer.Option(help="[m] side of a square.")] = 0.04,
+    marker: MarkerOption = 0.03,
+    dictionary: DictionaryOption = "5X5_100",
+    as_json: JsonOption = False,
+) -> None:
+    """Draw the ChArUco board that `tog hardware calibrate` looks at, to be printed."""
+    from tog_drake.errors import InputError
+    from tog_drake.files import check_file, write_atomically
+    from tog_drake.hardware.calibrating import board_png, parse_board
+
+    check_file(out)
+    if out.suffix.lower() != ".png":
+        raise InputError(f"--out {out}: a board is drawn as a .png")
+    squares = parse_board(board, square, marker, dictionary)
+    write_atomically(out, board_png(squares))
+    size = f"{1e3 * squares.columns * square:g} x {1e3 * squares.rows * square:g} mm"
+    console = console_for(as_json)
+    say(console, f"{out}: {size}; print it at 100 %, not fitted to the page")
+    say(console, f"a square is {1e3 * square:g} mm; give `calibrate` what the print measures")
+    print_json(as_json, {"file": str(out), "size": size})
 
 
 @app.command(epilog="Example: tog hardware doctor --scenario panda_lcm")

@@ -1,5 +1,6 @@
 """``tog hardware calibrate``: from views to a mount in the scenario's file."""
 
+import io
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,9 @@ from tog_drake.scenario import Scenario, load_scenario
 from tog_drake.stations.lcm_bus import make_lcm
 from tog_drake.stations.lcm_camera import scenario_intrinsics
 
+_PER_METRE = 12000.0  # [pixel] of a board to print: 305 to the inch ...
+_MOST_PIXELS = 10000  # ... as long as no side of it has more
+
 
 def parse_board(squares: str, square: float, marker: float, dictionary: str) -> Board:
     """Returns the board of these options. Raises InputError: there is none."""
@@ -27,6 +31,22 @@ def parse_board(squares: str, square: float, marker: float, dictionary: str) -> 
     board = Board(int(size[1]), int(size[2]), square, marker, dictionary)
     board.made()
     return board
+
+
+def board_png(board: Board) -> bytes:
+    """Returns a PNG file of the board: printed without scaling, it is as large as ``board`` says.
+
+    The image ends where the squares do, and tells its resolution.
+    """
+    from PIL import Image
+
+    pixels = min(round(_PER_METRE * board.square), _MOST_PIXELS // max(board.columns, board.rows))
+    size = board.columns * pixels, board.rows * pixels
+    image = Image.fromarray(board.made().generateImage(size))
+    file = io.BytesIO()
+    inch = 0.0254  # [m]
+    image.save(file, "PNG", dpi=2 * (pixels / board.square * inch,))
+    return file.getvalue()
 
 
 def calibrate_camera(
