@@ -121,6 +121,16 @@ def test_fingers_inside_a_wall_of_points_are_a_hand_collision():
     assert only_reason(make_grasps(pose([0.5, 0.0, 0.05])), cloud) == "hand_collision"
 
 
+def test_a_hand_that_arrives_fully_open_needs_the_room_that_a_narrower_one_does_not():
+    thin = ([0.40, -0.01, 0.0], [0.62, 0.01, 0.03])
+    beside = make_cloud(thin, ([0.45, 0.051, 0.0], [0.55, 0.054, 0.045]))
+    grasp = make_grasps(pose([0.5, 0.0, 0.02]), width=0.02)  # a finger ends at y = 45 or 55 mm
+    assert len(solve(grasp, beside)) == 1
+    with pytest.raises(NoFeasibleGrasp) as error:
+        feasible_grasps(grasp, beside, Q_NOW, planning_model(), CONFIG, opens_fully=True)
+    assert error.value.rejected["hand_collision"] == 1
+
+
 def test_points_between_the_fingers_are_the_target():
     cloud = make_cloud(([0.48, -0.03, 0.0], [0.52, 0.03, 0.06]))
     assert len(solve(make_grasps(pose([0.5, 0.0, 0.03]), width=0.06), cloud)) == 1

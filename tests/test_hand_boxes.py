@@ -78,6 +78,9 @@ def block(lower, upper, step=0.004):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+OPENING = np.array([0.08])  # [m]
+
+
 def test_a_hand_that_leans_is_lifted_into_what_overhangs_it_unless_it_holds_that():
     lean = np.radians(60)
     c, s = np.cos(lean), np.sin(lean)
@@ -91,8 +94,8 @@ def test_a_hand_that_leans_is_lifted_into_what_overhangs_it_unless_it_holds_that
     grasp = Grasps(X_WG[None], np.array([0.028]), np.ones(1), X_WG[None, :3, 3])
     for others, rise, expected in ((beam, 0.2, True), (beam, 0.02, False), (far, 0.2, False)):
         points = np.vstack([held, others])
-        assert disturbs_others(grasp, points, rise, 0.002)[0] == expected
-    assert not disturbs_others(grasp, held, 0.2, 0.002)[0]
+        assert disturbs_others(grasp, OPENING, points, rise, 0.002)[0] == expected
+    assert not disturbs_others(grasp, OPENING, held, 0.2, 0.002)[0]
 
 
 def test_fingers_that_would_close_on_a_neighbour_disturb_it():
@@ -102,4 +105,4 @@ def test_fingers_that_would_close_on_a_neighbour_disturb_it():
     # A rim between the finger's open and its closed place, and one outside.
     for y, expected in ((0.036, True), (0.062, False)):
         rim = block([0.49, y, 0.02], [0.56, y + 0.003, 0.024])
-        assert disturbs_others(grasp, np.vstack([held, rim]), 0.1, 0.002)[0] == expected
+        assert disturbs_others(grasp, OPENING, np.vstack([held, rim]), 0.1, 0.002)[0] == expected

@@ -3,20 +3,24 @@
 import json
 import os
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pytest
 from command import refused, tog
 from hardware_session import GRIP_FORCE, PATIENT, REFUSED
 from own_network import in_own_network, needs_own_network
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
 
 from tog_drake.decision import Decision
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.hardware.asking import asked
 from tog_drake.hardware.episode import judge
-from tog_drake.safety import SafetyConfig, StopReason
+from tog_drake.panda import MAX_OPENING
+from tog_drake.safety import PERIOD, Commanded, SafetyConfig, StopReason
 from tog_drake.stations.guard import GuardMode, GuardState
-from tog_drake.stations.panda_lcm import UNCHANGED, due
+from tog_drake.stations.panda_lcm import UNCHANGED, HandCommand, due
 from tog_drake.values import Choice, GraspMotion
 
 
@@ -87,6 +91,8 @@ def test_no_command_is_a_jump_and_the_first_is_where_the_arm_is(lifted):
 @needs_own_network
 def test_the_real_robot_decides_as_the_simulated_one(lifted, simulated):
     real = lifted["run"]["record"]
+    closing = simulated["motion"]["phases"]["lift"] - simulated["motion"]["phases"]["close"]
+    assert closing == pytest.approx(2.1)  # from 8 cm apart at 1 m/s, and two seconds
     assert real["choice"]["part"] == simulated["choice"]["part"]
     assert real["choice"]["width"] == pytest.approx(simulated["choice"]["width"], abs=1e-3)
     assert real["choice"]["pixel"] == pytest.approx(simulated["choice"]["pixel"], abs=3)
@@ -184,6 +190,7 @@ def test_what_no_real_robot_can_do_is_refused_before_it_is_connected_to(tmp_path
 
     refused(run("{pipeline: {retries: 1}}"), "moves once")
     refused(run("{hardware: {safety: {velocity: 2}}}"), "velocity", "0 to 1")
+    refused(run("{pipeline: {opens_fully: false}}"), "arrives fully open")
     refused(run("{hardware: null}"), "no section hardware", "panda_lcm")
 
 
@@ -202,6 +209,19 @@ def test_success_is_told_by_the_width_of_the_hand():
     assert judged(0.0400, 0.0400, opened=0.0405) == "empty"  # nor here, where it is stuck
     assert judged(None, None, Phase.FAILED) == "collision"
     assert judged(0.012, 0.012, broken=(StopReason.TRACKING, "it strayed")) == "stopped"
+
+
+@pytest.mark.parametrize("last", [0.002, 1.5e-4, 5e-5, 1e-12])
+def test_wherever_the_ramp_ends_before_it_presses_the_hand_is_told_to_close(last):
+    bus = mock.Mock()
+    bus.hand.newest.opening = MAX_OPENING
+    hand = HandCommand(bus, 40.0)
+    simulator = Simulator(hand)
+    for tick, opening in enumerate([0.06] * 40 + [0.03, last] + [-0.02] * 40):
+        guarded = GuardState(GuardMode.ARMED, Commanded.at_rest(np.zeros(7)), opening)
+        hand.get_input_port().FixValue(simulator.get_mutable_context(), Value(guarded))
+        simulator.AdvanceTo((tick + 1) * PERIOD)
+    assert {call.args for call in bus.command_hand.call_args_list} == {(0.0, 40.0)}
 
 
 def test_the_hand_is_told_an_opening_that_stays_and_never_a_narrower_one_but_to_grasp():

@@ -225,6 +225,12 @@ def test_the_hand_is_open_until_the_grasp_and_closed_beyond_contact_before_the_l
     assert np.abs(np.diff(opening)).max() / (times[1] - times[0]) < 0.1001
 
 
+def test_a_hand_that_cannot_go_to_a_width_arrives_fully_open():
+    scene = (candidates(), Q_LOOK, EASY, planning_model(), CONFIG, 0)
+    motion = plan_motion(choice(), *scene, opens_fully=True)
+    assert motion.hand.value(motion.phase_times["close"]).item() == MAX_OPENING
+
+
 def test_a_wide_grasp_opens_the_hand_no_wider_than_it_can():
     wide = FeasibleGrasps(**{**vars(choice().grasp), "width": np.array([0.06])})
     motion = plan(Q_LOOK, EASY, among=candidates_of(wide))

@@ -88,6 +88,7 @@ def feasible_grasps(
     table_height: float = 0.0,
     failed: Grasps | None = None,
     views: Sequence[View] = (),
+    opens_fully: bool = False,
 ) -> FeasibleGrasps:
     """Returns the grasps that can be carried out, in their order, with the paths that do it.
 
@@ -103,6 +104,7 @@ def feasible_grasps(
         table_height: [m] z of the table top in W.
         failed: grasps that were tried and held nothing; what is like them is rejected.
         views: what the cloud was made from; without them nothing counts as hidden.
+        opens_fully: whether the hand arrives as wide as it can, whatever the grasp's width.
 
     Raises:
         NoGrasp: there are no proposals.
@@ -111,13 +113,13 @@ def feasible_grasps(
     if len(grasps) == 0:
         raise NoGrasp("no grasp was proposed: show the object better, or use another proposer")
     points = cloud.xyzs().T[np.isfinite(cloud.xyzs()).all(axis=0)]
-    opening = arrival_opening(grasps.width)
+    opening = arrival_opening(grasps.width, fully=opens_fully)
     lower, upper = hand_boxes(opening, config.pregrasp_distance)
     low = lowest_corner(grasps.X_WG, lower, upper) < table_height + config.table_clearance
     tolerance = config.hand_tolerance
     inside = points_inside(grasps.X_WG, lower + tolerance, upper - tolerance, points)
     blocked = (inside > config.stray_points) | (grasps.width > MAX_OPENING)
-    others = disturbs_others(grasps, points, config.lift_height, config.lift_clearance)
+    others = disturbs_others(grasps, opening, points, config.lift_height, config.lift_clearance)
     hidden = hidden_share(grasps.X_WG, opening, views) > config.max_hidden
     again = _like(grasps, Grasps.empty() if failed is None else failed, config)
     fate = np.select(
@@ -314,6 +316,7 @@ class FeasibilityFilter(LeafSystem):
 
     Args:
         fused: whether the cloud is of all cameras; then ``views`` takes the place of ``view``.
+        opens_fully: as in ``feasible_grasps``.
     """
 
     def __init__(
@@ -323,6 +326,7 @@ class FeasibilityFilter(LeafSystem):
         planning_model: PlanningModel,
         *,
         fused: bool = False,
+        opens_fully: bool = False,
     ):
         super().__init__()
         if (
@@ -334,6 +338,7 @@ class FeasibilityFilter(LeafSystem):
                 "attempts at least 1"
             )
         self._config = config
+        self._opens_fully = opens_fully
         self._table_height = workspace.table_height
         self._planning_model = planning_model
         self._grasps = self.DeclareAbstractInputPort("grasps", Value(Grasps.empty()))
@@ -366,5 +371,6 @@ class FeasibilityFilter(LeafSystem):
                 table_height=self._table_height,
                 failed=self._failed.Eval(context),
                 views=[image.view for image in images] if self._fused else [images],
+                opens_fully=self._opens_fully,
             )
         )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tog_drake.panda import arrival_opening, gripper_boxes
+from tog_drake.panda import gripper_boxes
 from tog_drake.points import clusters, group_means, neighbors, voxel_numbers
 from tog_drake.values import Array, Grasps
 
@@ -70,7 +70,7 @@ def points_inside(X_WG: Array, lower: Array, upper: Array, points: Array) -> NDA
 
 
 def disturbs_others(
-    grasps: Grasps, points: Array, rise: float, clearance: float
+    grasps: Grasps, opening: Array, points: Array, rise: float, clearance: float
 ) -> NDArray[np.bool_]:
     """Tells which hands would close on or rise into other things than what they hold, (N,).
 
@@ -78,6 +78,7 @@ def disturbs_others(
 
     Args:
         grasps: N of them.
+        opening: (N,) [m] between the pads before they close.
         points: (P, 3) [m] in W, what the camera saw.
         rise: how far the hand is lifted [m].
         clearance: kept between the hand's boxes and the points [m].
@@ -90,7 +91,7 @@ def disturbs_others(
     if thing.max() == 0:
         return met
     held = thing[cKDTree(points).query(grasps.p_WContact)[1]]
-    closed, opened = hand_boxes(grasps.width), hand_boxes(arrival_opening(grasps.width))
+    closed, opened = hand_boxes(grasps.width), hand_boxes(opening)
     lower, upper = np.minimum(closed[0], opened[0]), np.maximum(closed[1], opened[1])
     middle = grasps.X_WG[:, :2, 3] - 0.08 * grasps.X_WG[:, :2, 2]
     near = ((points[:, :2] - middle[:, None]) ** 2).sum(axis=-1) < _HAND_RADIUS**2

@@ -54,9 +54,12 @@ X_HG = np.eye(4)
 X_HG[2, 3] = GRASP_Z
 
 
-def arrival_opening(width: Array) -> Array:
-    """Returns how far the hand opens [m] to arrive at grasps of ``width`` (...) [m]."""
-    opening: Array = np.minimum(width + OPENING_MARGIN, MAX_OPENING)
+def arrival_opening(width: Array, *, fully: bool = False) -> Array:
+    """Returns how far the hand opens [m] to arrive at grasps of ``width`` (...) [m].
+
+    ``fully`` is for a hand that cannot go to a width without grasping what is there.
+    """
+    opening: Array = np.minimum(width + (MAX_OPENING if fully else OPENING_MARGIN), MAX_OPENING)
     return opening
 
 

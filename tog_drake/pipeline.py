@@ -95,6 +95,7 @@ class PipelineConfig:
     cloud: CloudConfig = field(default_factory=CloudConfig)
     proposer: ProposerConfig = field(default_factory=Antipodal)
     feasibility: FeasibilityConfig = field(default_factory=FeasibilityConfig)
+    opens_fully: bool = False  # the hand arrives as wide as it can, not as the grasp needs it
     candidates: CandidatesConfig = field(default_factory=CandidatesConfig)
     view_selection: ViewSelectionConfig = field(default_factory=ViewSelectionConfig)
     selector: SelectorConfig = field(default_factory=Geometric)
@@ -177,7 +178,11 @@ class GraspPipeline(Diagram):
             "cloud": SceneCloud(cloud, config.workspace, robot_spheres=robot_spheres),
             "proposer": GraspProposer(self.proposer),
             "feasibility": FeasibilityFilter(
-                config.feasibility, config.workspace, planning_model, fused=cloud.fuse
+                config.feasibility,
+                config.workspace,
+                planning_model,
+                fused=cloud.fuse,
+                opens_fully=config.opens_fully,
             ),
             "candidates": CandidatePicker(config.candidates, seed=seed),
             "view_selector": ViewSelector(
@@ -185,7 +190,11 @@ class GraspPipeline(Diagram):
             ),
             "selector": _make_selector_system(config, seed, ground_truth),
             "trajectory": TrajectoryOptimizer(
-                config.trajectory, planning_model, seed=seed, with_retreat=config.retries > 0
+                config.trajectory,
+                planning_model,
+                seed=seed,
+                with_retreat=config.retries > 0,
+                opens_fully=config.opens_fully,
             ),
             "executor": self.executor,
         }

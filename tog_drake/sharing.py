@@ -185,6 +185,7 @@ def look_key(world: str, config: PipelineConfig, proposer: Proposer, seed: int) 
         cloud=config.cloud,
         proposer=config.proposer,
         feasibility=config.feasibility,
+        opens_fully=config.opens_fully,
     )
     return _digest(["look", world, yaml_dump_typed(seeing), json.dumps(weights), str(seed)])
 

@@ -45,6 +45,7 @@ def plan_motion(
     seed: int,
     *,
     with_retreat: bool = False,
+    opens_fully: bool = False,
 ) -> GraspMotion:
     """Returns a motion that carries out the choice, or its first alternative that has one.
 
@@ -64,6 +65,7 @@ def plan_motion(
         seed: decides everything that is random.
         with_retreat: whether the way back is planned too, with its hand empty. Where there is
             none the motion says so in its note: better no other try than no try.
+        opens_fully: whether the hand arrives as wide as it can, whatever the grasp's width.
 
     Raises:
         NoPlan: saying of each grasp which check failed, where and by how much.
@@ -82,7 +84,7 @@ def plan_motion(
     field = DistanceField(points)
     failures: list[str] = []
     for row in (choice.index, *choice.alternatives):
-        opening = float(arrival_opening(grasps.width[row]))
+        opening = float(arrival_opening(grasps.width[row], fully=opens_fully))
         obstacles = Obstacles(planning_model, field, opening)
         obstacles.require_free(q_now, "the arm's present posture", "move the arm away by hand")
         grasp = grasps.take(np.array([row]))
@@ -229,9 +231,11 @@ class TrajectoryOptimizer(LeafSystem):
         *,
         seed: int,
         with_retreat: bool = False,
+        opens_fully: bool = False,
     ):
         super().__init__()
         self._with_retreat = with_retreat
+        self._opens_fully = opens_fully
         self._config = config
         self._planning_model = planning_model
         self._seed = seed
@@ -262,5 +266,6 @@ class TrajectoryOptimizer(LeafSystem):
                 self._config,
                 self._seed,
                 with_retreat=self._with_retreat,
+                opens_fully=self._opens_fully,
             )
         )

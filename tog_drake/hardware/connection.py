@@ -80,6 +80,11 @@ def connect(scenario: Scenario, *, silent: bool = False, meshcat: Meshcat | None
             "a real robot looks once and moves once, for each motion is asked about; valid: "
             "pipeline: {retries: 0, look: !Once {}}"
         )
+    if not pipeline.opens_fully:
+        raise InputError(
+            "a real hand arrives fully open, for its driver grasps when it is told a narrower "
+            "width; valid: pipeline: {opens_fully: true}, as in panda_lcm"
+        )
     lcm, camera_lcm = make_lcm(config.lcm_url), make_lcm(config.lcm_url)
     bus = PandaBus(lcm)
     _wait_for_drivers(bus, lcm)

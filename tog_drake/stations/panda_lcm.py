@@ -236,7 +236,9 @@ class HandCommand(LeafSystem):
         guarded: GuardState = self._guarded.Eval(context)
         if not guarded.commands or guarded.opening is None:
             return None
-        return min(max(guarded.opening, 0.0), MAX_OPENING)
+        opening = min(guarded.opening, MAX_OPENING)
+        # What is almost 0, on a ramp that goes through it, would else count as the same as 0.
+        return opening if opening > _SAME else 0.0
 
 
 def due(asked: float, since: float, told: float, now: float) -> bool:
