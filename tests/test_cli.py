@@ -310,7 +310,7 @@ def test_a_hammer_is_handed_over_and_recorded_field_by_field(tmp_path):
     assert [word for word in (*STAGES, "decide", "execute") if f" {word} " not in err] == []
     assert "outcome: lifted" in err
     assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")} == {
-        "r", "r/episode.json", "r/report.html"
+        "r", "r/episode.json", "r/recording.npz", "r/report.html"
     }  # fmt: skip
     assert json.loads((tmp_path / "r/episode.json").read_text(encoding="utf-8")) == record
     _check_lifted(record)

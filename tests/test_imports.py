@@ -45,7 +45,7 @@ except SystemExit as ended:
     [
         "import tog_drake",
         _help(),
-        *map(_help, ("run", "choose", "prompts")),
+        *map(_help, ("run", "choose", "replay", "prompts")),
         _help("vlm", "check"),
         _help("assets", "import"),
         _help("serve", "proposer"),
@@ -58,6 +58,7 @@ except SystemExit as ended:
         "help",
         "run --help",
         "choose --help",
+        "replay --help",
         "prompts --help",
         "vlm check --help",
         "assets import --help",

@@ -13,6 +13,7 @@ from tog_drake.errors import TogError
 from tog_drake.hardware_commands import app as hardware_app
 from tog_drake.look_commands import diagram, doctor, scenarios, show
 from tog_drake.overview import overview
+from tog_drake.replay_commands import replay
 from tog_drake.run_commands import choose, demo, run
 from tog_drake.serve_commands import app as serve_app
 from tog_drake.terminal import keep_drake_quiet
@@ -42,6 +43,7 @@ for _name, _command, _example in (
     ("eval", evaluate_, "tog eval builtin --selectors top-score,oracle --workers 2"),
     ("report", report, "tog report out/eval"),
     ("label", label, "tog label out/eval --sample 60"),
+    ("replay", replay, "tog replay out/run --video out.mp4"),
     ("scenarios", scenarios, "tog scenarios"),
     ("show", show, "tog show Hammer --out hammer.html"),
     ("diagram", diagram, "tog diagram Hammer --out hammer.svg"),

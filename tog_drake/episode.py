@@ -22,6 +22,7 @@ from tog_drake.record import (
     look_record,
     new_record,
 )
+from tog_drake.recording import Recorder, Recording
 from tog_drake.scenario import Scenario
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
 from tog_drake.values import Array, Exchange, Grasps, NextLook
@@ -40,6 +41,7 @@ class Episode:
     decision: Decision
     replay: str | None  # a static page that plays it over and over, where Meshcat was given
     exchanges_before: tuple[Exchange, ...] = ()  # with a model, at the looks before the last
+    recording: Recording | None = None  # of the simulated world; None: nothing has moved
 
 
 def run_episode(
@@ -76,7 +78,8 @@ def run_episode(
         context = simulator.get_mutable_context()
         kept = KeptWorld(shared, scenario, context, world.pipeline, world.target)
     judge = Judge(world.station, world.labels, world.target)
-    course = _run(simulator, world, judge, task, kept, meshcat)
+    recorder = Recorder(world.station, scenario)
+    course = _run(simulator, world, judge, recorder, task, kept, meshcat)
     record = _record(course, scenario, world, task)
     record["scenario"] = name
     _enter_end(record, course)
@@ -90,13 +93,15 @@ def run_episode(
     replay = None
     if meshcat is not None:
         replay = _replay(meshcat, world, simulator.get_context(), course.looked)
-    return Episode(record, course.decision, replay, course.exchanges_before)
+    recording = recorder.recording()
+    return Episode(record, course.decision, replay, course.exchanges_before, recording)
 
 
 @dataclass
 class _Course:
     """What happened from the first look on."""
 
+    recorder: Recorder
     attempts: list[AttemptRecord] = field(default_factory=list)
     decision: Decision = field(default_factory=Decision)  # of the last look, as the next two
     looked: float = 0.0  # [s]
@@ -110,13 +115,14 @@ def _run(
     simulator: Simulator,
     world: World,
     judge: Judge,
+    recorder: Recorder,
     task: str,
     kept: KeptWorld | None,
     meshcat: Meshcat | None,
 ) -> _Course:
     """Looks, decides and moves, and again as long as the executor goes back to look."""
     context = simulator.get_mutable_context()
-    course = _Course()
+    course = _Course(recorder)
     while True:
         looks: list[LookRecord] = []
         try:
@@ -147,7 +153,7 @@ def _run(
         if execution is None:
             started = time.perf_counter()
             try:
-                state = _execute(simulator, world, judge)
+                state = _execute(simulator, world, judge, course.recorder)
             except Stopped as error:
                 decision.error = error
                 return course
@@ -201,7 +207,7 @@ def _look_around(
         looks.append(look_record(next_look, planned - started))
         if next_look.motion is None:
             break
-        state = _execute(simulator, world, judge)
+        state = _execute(simulator, world, judge, course.recorder)
         course.wall += time.perf_counter() - planned
         if state.phase is Phase.FAILED:
             break
@@ -259,7 +265,7 @@ def _check_success_is_possible(scenario: Scenario) -> None:
         )
 
 
-def _execute(simulator: Simulator, world: World, judge: Judge) -> ExecutorState:
+def _execute(simulator: Simulator, world: World, judge: Judge, recorder: Recorder) -> ExecutorState:
     """Lets the executor move until it has ended or looks once more; the judge watches."""
     context = simulator.get_context()
     station_context = world.station.GetMyContextFromRoot(context)
@@ -269,6 +275,7 @@ def _execute(simulator: Simulator, world: World, judge: Judge) -> ExecutorState:
     while True:
         state = executor.state(executor.GetMyContextFromRoot(context))
         judge.observe(station_context, state)
+        recorder.observe(station_context)
         look_at = look_at or state.look_at
         then = context.get_time() + _SAMPLE
         if state.look_at > look_at:  # it has arrived, and stands still until it looks

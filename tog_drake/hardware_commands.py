@@ -202,10 +202,9 @@ def run(
     from tog_drake.hardware.asking import asked
     from tog_drake.hardware.config import hardware_of
     from tog_drake.hardware.episode import run_hardware_episode
-    from tog_drake.record import save_record
     from tog_drake.report import write_report
     from tog_drake.scenario import load_scenario
-    from tog_drake.showing import report_of, show_live
+    from tog_drake.showing import report_of, save_episode, show_live
     from tog_drake.task import read_task
 
     console = console_for(as_json)
@@ -228,7 +227,7 @@ def run(
         dry_run=dry_run,
         meshcat=live,
     )
-    save_record(out / "episode.json", episode.record)
+    save_episode(out, episode.record)
     write_report(out / "report.html", [report_of(episode)])
     print_stages(console, episode.record)
     say(console, f"report: {out / 'report.html'}")

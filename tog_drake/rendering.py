@@ -8,9 +8,11 @@ asked here, with the calls that VTK will make.
 import ctypes
 import sys
 import time
+from collections.abc import Sequence
 from functools import cache
 
 from pydrake.geometry import (
+    LightParameter,
     MakeRenderEngineVtk,
     RenderEngine,
     RenderEngineVtkParams,
@@ -27,8 +29,12 @@ _EGL_PLATFORM_DEVICE_EXT = 0x313F  # from the EGL_EXT_platform_device specificat
 _INSTALL = "install it with: sudo apt-get install libegl1 libgl1-mesa-dri"
 
 
-def make_render_engine(background: Rgba) -> RenderEngine:
+def make_render_engine(background: Rgba, lights: Sequence[LightParameter] = ()) -> RenderEngine:
     """Returns Drake's VTK engine.
+
+    Args:
+        background: where nothing is.
+        lights: none: one at the camera.
 
     Raises:
         InputError: if this machine cannot render; the message names the package to install.
@@ -38,7 +44,9 @@ def make_render_engine(background: Rgba) -> RenderEngine:
         raise InputError(f"cannot render camera images: {problem}")
     backend = "EGL" if sys.platform == "linux" else ""
     return MakeRenderEngineVtk(
-        RenderEngineVtkParams(default_clear_color=background.rgba[:3], backend=backend)
+        RenderEngineVtkParams(
+            default_clear_color=background.rgba[:3], lights=list(lights), backend=backend
+        )
     )
 
 

@@ -72,10 +72,9 @@ def run(
     from tog_drake.benchmark.cells import scenario_of
     from tog_drake.cameras import with_noise
     from tog_drake.episode import run_episode
-    from tog_drake.record import save_record
     from tog_drake.report import write_report
     from tog_drake.scenario import load_scenario
-    from tog_drake.showing import report_of, show_live
+    from tog_drake.showing import report_of, save_episode, show_live
     from tog_drake.task import read_task
     from tog_drake.view_selection import Hand
 
@@ -100,7 +99,7 @@ def run(
     live = show_live(console) if meshcat else None
     with console.status(f"looking, {deciding(loaded.pipeline.selector)}, moving ..."):
         episode = run_episode(loaded, name=name, task=task, target=target, meshcat=live)
-    save_record(out / "episode.json", episode.record)
+    save_episode(out, episode.record, episode.recording)
     write_report(out / "report.html", [report_of(episode)])
     print_stages(console, episode.record)
     say(console, f"report: {out / 'report.html'}")
@@ -116,10 +115,9 @@ def demo(
 ) -> None:
     """One hammer, two tasks: held by the handle to use it, by the head to hand it over."""
     from tog_drake.episode import run_episode
-    from tog_drake.record import save_record
     from tog_drake.report import write_report
     from tog_drake.scenario import load_scenario
-    from tog_drake.showing import report_of
+    from tog_drake.showing import report_of, save_episode
     from tog_drake.visualization import make_meshcat
 
     console = console_for(as_json=False)
@@ -131,7 +129,7 @@ def demo(
             episode = run_episode(
                 loaded, name=DEFAULT_SCENARIO, task=task, target=None, meshcat=make_meshcat()
             )
-        save_record(out / label / "episode.json", episode.record)
+        save_episode(out / label, episode.record, episode.recording)
         print_stages(console, episode.record)
         episodes.append(episode)
     write_report(out / "report.html", [report_of(episode) for episode in episodes])
@@ -168,9 +166,10 @@ def choose(
     from tog_drake.drawing import decision_image, encode_png
     from tog_drake.files import write_atomically
     from tog_drake.pipeline import PipelineConfig
-    from tog_drake.record import new_record, save_record
+    from tog_drake.record import new_record
     from tog_drake.report import EpisodeReport, write_report
     from tog_drake.saved_view import load_pose, load_view
+    from tog_drake.showing import save_episode
     from tog_drake.vlm_record import exchanges_of
 
     console = console_for(as_json)
@@ -187,7 +186,7 @@ def choose(
     overlay = decision_image(decision.view or view, decision.candidates, decision.choice)
     write_atomically(out / "grasps.json", json.dumps(grasps_record(decision), indent=1))
     write_atomically(out / "overlay.png", encode_png(overlay))
-    save_record(out / "episode.json", episode)
+    save_episode(out, episode)
     report = EpisodeReport(
         episode, decision.view or view, overlay, exchanges=exchanges_of(decision)
     )

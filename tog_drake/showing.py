@@ -11,6 +11,8 @@ from tog_drake.decision import Decision
 from tog_drake.drawing import Image, decision_image, encode_png
 from tog_drake.episode import Episode
 from tog_drake.files import write_atomically
+from tog_drake.record import EpisodeRecord, save_record
+from tog_drake.recording import Recording, save_recording
 from tog_drake.report import EpisodeReport
 from tog_drake.scenario import Scenario
 from tog_drake.stations.simulation import SimulationStation
@@ -43,6 +45,13 @@ def report_of(episode: Episode) -> EpisodeReport:
         replay=episode.replay,
         views=_views_of(decision),
     )
+
+
+def save_episode(folder: Path, record: EpisodeRecord, recording: Recording | None = None) -> None:
+    """Writes ``episode.json`` and, where anything moved, ``recording.npz`` for ``tog replay``."""
+    save_recording(folder, None)  # that of an earlier episode does not belong to this record
+    save_record(folder / "episode.json", record)
+    save_recording(folder, recording)
 
 
 def _views_of(decision: Decision) -> list[tuple[str, Image]]:
@@ -81,7 +90,11 @@ def write_objects(path: Path) -> Path:
 
 def serve_scene(scenario: Scenario, console: Console) -> None:
     """Serves the scene on localhost until the user interrupts."""
-    meshcat = _scene(scenario)
+    serve(_scene(scenario), console)
+
+
+def serve(meshcat: Meshcat, console: Console) -> None:
+    """Says where Meshcat is, and waits until the user interrupts."""
     console.print(f"live: {meshcat.web_url()} (Ctrl-C ends it)")
     while True:
         time.sleep(1.0)

@@ -114,12 +114,17 @@ def replay_html(
     _record_visible(meshcat, DECISION, {0.0: False, decided: True, duration: True})
     if closed is not None and closed < duration:
         _record_visible(meshcat, f"{DECISION}/seen", {0.0: True, closed: False, duration: False})
+    publish_recording(meshcat)
+    return str(meshcat.StaticHtml())
+
+
+def publish_recording(meshcat: Meshcat) -> None:
+    """Ends the recording; whoever looks sees it over and over."""
     meshcat.StopRecording()
     recording = meshcat.get_mutable_recording()
     recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     recording.set_repetitions(20)
     meshcat.PublishRecording()
-    return str(meshcat.StaticHtml())
 
 
 def _record_visible(meshcat: Meshcat, path: str, visible: dict[float, bool]) -> None:

@@ -5,18 +5,16 @@ made; pickled objects in it are never loaded, because loading them can run any c
 """
 
 import json
-import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any
 
-import numpy as np
-from numpy.lib import format as npy
 from pydrake.perception import PointCloud
 
 from tog_drake.errors import InputError, NoGrasp
+from tog_drake.npz import BadNpz, read_npz
 from tog_drake.proposers.grasp_document import (
     MAX_GRASPS,
     NAMES,
@@ -29,7 +27,6 @@ from tog_drake.proposers.grasp_document import (
 from tog_drake.values import Grasps, View
 
 MAX_FILE_BYTES = 16_000_000
-MAX_ENTRIES = 100  # arrays in an NPZ
 _MAX_ARRAY_BYTES = 16 * 16 * MAX_GRASPS  # of 16 numbers a grasp, however precise
 _CHOSEN = "tog_drake/grasps/1"  # the schema of what ``tog choose`` writes
 
@@ -115,24 +112,21 @@ def _read_json(path: Path) -> Mapping[str, Any]:
 
 def _read_npz(path: Path) -> Mapping[str, Any]:
     """The arrays of an NPZ file, none of them larger than it may be."""
-    pickled, arrays = [], {}
     try:
-        with zipfile.ZipFile(path) as archive:
-            entries = archive.infolist()
-            if len(entries) > MAX_ENTRIES:
-                raise BadDocument(f"it holds {len(entries)} files; valid: at most {MAX_ENTRIES}")
-            for entry in entries:
-                name = entry.filename.removesuffix(".npy")[:40]
-                with archive.open(entry) as stream:
-                    array = _read_array(stream, name)
-                if array is None:
-                    pickled.append(name)
-                else:
-                    arrays[name] = str(array) if array.dtype.kind == "U" else array
-    except BadDocument:
-        raise
-    except Exception as error:  # of zipfile, of what it unpacks with, of NumPy's header
-        raise BadDocument(f"it is no sound NPZ file ({error})") from error
+        found = read_npz(
+            path,
+            max_array_bytes=_MAX_ARRAY_BYTES,
+            valid=f"numbers or a text, of at most {MAX_GRASPS} grasps, under one of the names "
+            f"{', '.join(NAMES)}",
+        )
+    except BadNpz as error:
+        raise BadDocument(str(error)) from error
+    pickled = [name for name, array in found.items() if array is None]
+    arrays = {
+        name: str(array) if array.dtype.kind == "U" else array
+        for name, array in found.items()
+        if array is not None
+    }
     if pickled and {"poses", "scores"} <= arrays.keys():
         raise BadDocument(
             f"it holds pickled objects beside its poses and scores; valid: it without "
@@ -141,26 +135,6 @@ def _read_npz(path: Path) -> Mapping[str, Any]:
     if pickled:
         raise BadDocument(_convert(path, pickled))
     return arrays
-
-
-def _read_array(stream: IO[bytes], name: str) -> "np.ndarray[Any, Any] | None":
-    """One array; None where it holds pickled objects. Its size is checked before its content."""
-    if npy.read_magic(stream) != (1, 0):  # what NumPy writes unless the header is beyond 64 kB
-        raise BadDocument(f"{name!r} is no array of NPY version 1.0")
-    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
-    if dtype.hasobject:
-        return None
-    size = math.prod(shape) * dtype.itemsize
-    if dtype.kind not in "fiuU" or min(shape, default=0) < 0 or size > _MAX_ARRAY_BYTES:
-        raise BadDocument(
-            f"{name!r} is an array of shape {shape} of {dtype!s:.20}; valid: numbers or a text, "
-            f"of at most {MAX_GRASPS} grasps, under one of the names {', '.join(NAMES)}"
-        )
-    data = stream.read(size)
-    if len(data) != size:
-        raise BadDocument(f"{name!r} is cut short: {len(data)} of {size} bytes")
-    order: Literal["F", "C"] = "F" if fortran_order else "C"
-    return np.frombuffer(data, dtype).reshape(shape, order=order)
 
 
 def _convert(path: Path, pickled: list[str]) -> str:
