@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -11,7 +12,37 @@ from dataclasses import dataclass
 from io import StringIO
 from unittest.mock import patch
 
-from tog_drake.cli import main
+import typer
+
+from tog_drake.cli import app, main
+
+
+def _leaves(group, *path):
+    """Every command that does something, by what is typed: "run", "vlm check"."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from _leaves(command, *path, name)
+        else:
+            yield " ".join((*path, name)), command
+
+
+COMMANDS = dict(_leaves(typer.main.get_command(app)))
+
+
+def checked(line: str) -> str:
+    """Returns which command a line is, such as "vlm check".
+
+    Raises where it names none, an option is unknown, or a required one is missing.
+    """
+    program, *words = shlex.split(line, comments=True)
+    assert program == "tog", line
+    words = [word for word in words if word != "--debug"]
+    for n in (1, 2):
+        name = " ".join(words[:n])
+        if name in COMMANDS:
+            COMMANDS[name].make_context(name, words[n:])
+            return name
+    raise AssertionError(f"no command of tog: {line}")
 
 
 @dataclass(frozen=True)

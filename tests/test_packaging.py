@@ -62,7 +62,7 @@ def _inside(wheel):
 
 
 def test_the_wheel_holds_the_package_with_its_templates(wheel):
-    wanted = _files("tog_drake", "*.py") | _files("tog_drake", "*.j2")
+    wanted = {*_files("tog_drake", "*.py"), *_files("tog_drake", "*.j2"), "tog_drake/py.typed"}
     assert "tog_drake/templates/report.html.j2" in wanted
     assert wanted <= _inside(wheel)
 

@@ -27,6 +27,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"color": False},  # nor does typer colour what it says itself
+    epilog="Exit status: 0 done or lifted; 1 not so, it says why; 2 bad input; "
+    "3 a defect of the program; 130 interrupted.",
     help="Training-free task-oriented grasping for the Franka Panda, in Drake. "
     "Add --debug to any command for a traceback.",
 )

@@ -1,0 +1,159 @@
+"""What the documents say: commands run, links lead somewhere, tables are complete."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from typing import get_args
+from urllib.parse import unquote, urlsplit
+
+import pytest
+import yaml
+from command import checked, tog
+from documents import ROOT, anchors, blocks, commands, documents, first_column, links, markdown_of
+
+from tog_drake.feasibility import REASONS
+from tog_drake.record import OUTCOMES
+from tog_drake.safety import StopReason
+from tog_drake.values import ChoiceStatus
+
+OUTCOMES_PAGE = (ROOT / "diagrams" / "outcomes.md").read_text(encoding="utf-8")
+README_BLOCKS = [
+    block
+    for block in blocks((ROOT / "README.md").read_text(encoding="utf-8"))
+    if block.language in ("bash", "console", "python")
+]
+NAMES = [str(path.relative_to(ROOT)) for path in documents()]
+
+
+# --- commands and programs ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", README_BLOCKS, ids=lambda block: f"line {block.line}")
+def test_what_the_readme_says_runs_in_a_fresh_folder(block, tmp_path):
+    if block.not_run is not None:
+        pytest.skip(f"README.md, line {block.line}: {block.not_run}")
+    if "tog diagram" in block.text and shutil.which("dot") is None:
+        pytest.skip("graphviz is not installed")
+    there = tmp_path / "bin"
+    there.mkdir()
+    (there / "tog").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m tog_drake.cli "$@"\n')
+    (there / "tog").chmod(0o755)
+    fresh = tmp_path / "fresh"
+    fresh.mkdir()
+    if block.language == "python":
+        command = [sys.executable, "-c", block.text]
+    else:
+        command = ["bash", "-euo", "pipefail", "-c", "\n".join(commands(block))]
+    done = subprocess.run(
+        command,
+        cwd=fresh,
+        env={**os.environ, "PATH": f"{there}{os.pathsep}{os.environ['PATH']}"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.endswith(".md")])
+def test_every_command_of_a_document_is_one_that_can_be_typed(name):
+    for block in blocks((ROOT / name).read_text(encoding="utf-8")):
+        for line in commands(block):
+            if line.startswith("tog ") and " ..." not in line:
+                checked(line.split(" | ")[0])
+
+
+def test_a_command_that_cannot_be_typed_is_noticed():
+    with pytest.raises(Exception, match="No such option"):
+        checked("tog run --tsak 'hand me the hammer'")
+    with pytest.raises(AssertionError, match="no command"):
+        checked("tog rnu --task 'hand me the hammer'")
+
+
+# --- links --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_link_leads_somewhere(name):
+    assert [link for link in links(markdown_of(ROOT / name)) if _broken(ROOT / name, link)] == []
+
+
+def _broken(document, link):
+    """Whether a file or heading is missing; of another site the form alone is looked at."""
+    parts = urlsplit(link)
+    if parts.scheme:
+        return parts.scheme not in ("http", "https") or "." not in parts.netloc
+    path = document.parent / unquote(parts.path) if parts.path else document
+    if not path.resolve().is_relative_to(ROOT) or not path.exists():
+        return True
+    return bool(parts.fragment) and parts.fragment not in anchors(markdown_of(path))
+
+
+def test_a_link_to_nowhere_is_noticed(tmp_path):
+    page = ROOT / "diagrams" / "README.md"
+    good = ["outcomes.md", "outcomes.md#rules-of-safety", "#on-a-real-panda", "https://a.org/b"]
+    bad = ["outcome.md", "outcomes.md#rules", "#on-a-real-ur5", "/etc/passwd", "http:/a.org"]
+    assert [link for link in (*good, *bad) if _broken(page, link)] == bad
+
+
+# --- outcomes, statuses, rules ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("heading", "known"),
+    [
+        ("Outcomes", OUTCOMES),
+        ("Why grasps are rejected", REASONS),
+        ("Why there is no choice", get_args(ChoiceStatus)),
+        ("Rules of safety", [rule.value for rule in StopReason]),
+    ],
+)
+def test_the_page_of_outcomes_lists_what_the_program_has_and_nothing_else(heading, known):
+    assert sorted(first_column(OUTCOMES_PAGE, heading)) == sorted(known)
+
+
+def test_the_page_of_outcomes_lists_the_exit_statuses_that_the_help_names():
+    told = " ".join(tog("--help").out.split()).split("Exit status: ")[1]
+    assert first_column(OUTCOMES_PAGE, "Exit statuses") == re.findall(r"\b\d+\b", told)
+
+
+def test_every_row_of_the_page_of_outcomes_says_what_to_do():
+    for line in OUTCOMES_PAGE.splitlines():
+        if line.startswith("|"):
+            assert all(cell.strip() for cell in line.strip("|").split("|")), line
+
+
+# --- the project's papers -----------------------------------------------------------------------
+
+
+def test_citation_changelog_and_package_are_of_one_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    (version,) = re.findall(r'^version = "(.+)"', project, re.M)
+    assert citation["version"] == version
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## (\d+\.\d+\.\d+)", changes, re.M)[0] == version
+
+
+def test_a_pull_request_is_tested_with_what_the_tests_want():
+    workflow = (ROOT / ".github" / "workflows" / "test.yml").read_text(encoding="utf-8")
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    (wanted,) = re.findall(r"wanted=\((.+)\)", script)
+    there = {"chromium", "chromium-driver"}  # Chrome and its driver are on GitHub's machines
+    (installed,) = re.findall(r"--no-install-recommends (.+)", workflow)
+    assert set(installed.split()) == set(wanted.split()) - there
+    jobs = yaml.safe_load(workflow)["jobs"]
+    assert jobs["linux"]["steps"][-1] == {"run": "make test"}
+    lowest, *_ = jobs["linux"]["strategy"]["matrix"]["python"]
+    assert f'requires-python = ">={lowest}"' in (ROOT / "pyproject.toml").read_text()
+
+
+def test_a_report_of_a_defect_asks_for_what_helps():
+    form = (ROOT / ".github" / "ISSUE_TEMPLATE" / "bug.yml").read_text(encoding="utf-8")
+    assert "tog doctor --json" in form
+    assert "episode.json" in form
+    for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
+        assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict)
