@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-_FOLDERS = ("diagrams", "models", "notebooks", "tests", "tog_drake", ".github")
+_FOLDERS = ("diagrams", "docs", "models", "notebooks", "tests", "tog_drake", ".github")
 
 
 @dataclass(frozen=True)
@@ -15,7 +15,7 @@ class Block:
 
     language: str
     text: str
-    not_run: str | None  # why, where a comment in front says so
+    heading: str  # that it stands below
     line: int  # of the fence, from 1
 
 
@@ -38,7 +38,6 @@ def markdown_of(path):
 
 
 _FENCE = re.compile(
-    r"(?:<!-- not run: (?P<why>[^>]+?) -->\s*\n\s*)?"
     r"^(?P<indent> *)```(?P<language>\w*) *\n(?P<text>.*?)^ *``` *$",
     re.M | re.S,
 )
@@ -51,7 +50,8 @@ def blocks(text):
         indent = len(match["indent"])
         body = "\n".join(line[indent:] for line in match["text"].splitlines())
         line = text.count("\n", 0, match.start("language")) + 1
-        found.append(Block(match["language"], body, match["why"], line))
+        above = re.findall(r"^#+ +(.+?) *$", _FENCE.sub("", text[: match.start()]), re.M)
+        found.append(Block(match["language"], body, above[-1] if above else "", line))
     return found
 
 

@@ -1,5 +1,6 @@
 """The command as a user meets it: what it prints, where, and with which status it ends."""
 
+import errno
 import json
 import os
 import re
@@ -232,6 +233,15 @@ def test_a_traceback_is_shown_only_when_it_is_asked_for():
     assert "Traceback" in done.err
     assert "InputError" in done.err
     assert done.err.splitlines()[-1].startswith("tog: unknown scenario 'Hamer'")
+
+
+def test_what_the_system_refuses_names_the_file_and_a_way_out(monkeypatch):
+    def full():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/episode.json")
+
+    monkeypatch.setattr("tog_drake.resources.scenario_files", full)
+    done = tog("scenarios")
+    refused(done, "out/episode.json: No space left on device", "name another", "make room")
 
 
 def test_a_defect_of_the_program_has_a_status_of_its_own_and_no_traceback(monkeypatch):

@@ -18,22 +18,29 @@ from tog_drake.record import OUTCOMES
 from tog_drake.safety import StopReason
 from tog_drake.values import ChoiceStatus
 
-OUTCOMES_PAGE = (ROOT / "diagrams" / "outcomes.md").read_text(encoding="utf-8")
+OUTCOMES_PAGE = (ROOT / "docs" / "outcomes.md").read_text(encoding="utf-8")
 README_BLOCKS = [
     block
     for block in blocks((ROOT / "README.md").read_text(encoding="utf-8"))
     if block.language in ("bash", "console", "python")
 ]
+NOT_RUN = {  # heading -> why the commands below it are not run here
+    "tog_drake": "it installs, and runs these tests",
+    "Your vision-language model": "needs a model's server",
+    "Your robot": "needs a computer that keeps up with real time",
+    "Your benchmark": "takes minutes; test_resume.py and test_runner.py run smaller ones",
+}
+NOT_YET = {"diagrams/run.png"}  # shown by README.md, still to be drawn
 NAMES = [str(path.relative_to(ROOT)) for path in documents()]
 
 
 # --- commands and programs ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("block", README_BLOCKS, ids=lambda block: f"line {block.line}")
+@pytest.mark.parametrize("block", README_BLOCKS, ids=lambda block: block.heading)
 def test_what_the_readme_says_runs_in_a_fresh_folder(block, tmp_path):
-    if block.not_run is not None:
-        pytest.skip(f"README.md, line {block.line}: {block.not_run}")
+    if block.heading in NOT_RUN:
+        pytest.skip(f"README.md, line {block.line}: {NOT_RUN[block.heading]}")
     if "tog diagram" in block.text and shutil.which("dot") is None:
         pytest.skip("graphviz is not installed")
     there = tmp_path / "bin"
@@ -58,12 +65,18 @@ def test_what_the_readme_says_runs_in_a_fresh_folder(block, tmp_path):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_most_of_the_readme_is_run_and_what_is_not_is_there():
+    headings = {block.heading for block in README_BLOCKS}
+    assert set(NOT_RUN) < headings
+    assert len(headings - set(NOT_RUN)) >= 2
+
+
 @pytest.mark.parametrize("name", [name for name in NAMES if name.endswith(".md")])
 def test_every_command_of_a_document_is_one_that_can_be_typed(name):
     for block in blocks((ROOT / name).read_text(encoding="utf-8")):
         for line in commands(block):
             if line.startswith("tog ") and " ..." not in line:
-                checked(line.split(" | ")[0])
+                checked(re.split(r" \| | &(?: |$)", line)[0])
 
 
 def test_a_command_that_cannot_be_typed_is_noticed():
@@ -78,7 +91,8 @@ def test_a_command_that_cannot_be_typed_is_noticed():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_link_leads_somewhere(name):
-    assert [link for link in links(markdown_of(ROOT / name)) if _broken(ROOT / name, link)] == []
+    broken = {link for link in links(markdown_of(ROOT / name)) if _broken(ROOT / name, link)}
+    assert broken <= NOT_YET
 
 
 def _broken(document, link):
@@ -94,8 +108,9 @@ def _broken(document, link):
 
 def test_a_link_to_nowhere_is_noticed(tmp_path):
     page = ROOT / "diagrams" / "README.md"
-    good = ["outcomes.md", "outcomes.md#rules-of-safety", "#on-a-real-panda", "https://a.org/b"]
-    bad = ["outcome.md", "outcomes.md#rules", "#on-a-real-ur5", "/etc/passwd", "http:/a.org"]
+    page_of = "../docs/outcomes.md"
+    good = [page_of, f"{page_of}#rules-of-safety", "#on-a-real-panda", "https://a.org/b"]
+    bad = ["outcomes.md", f"{page_of}#rules", "#on-a-real-ur5", "/etc/passwd", "http:/a.org"]
     assert [link for link in (*good, *bad) if _broken(page, link)] == bad
 
 

@@ -43,7 +43,7 @@ def pick_candidates(grasps: Grasps, config: CandidatesConfig, seed: int) -> Cand
     """
     k, k_max = candidate_counts(config)
     if len(grasps) == 0:
-        raise NoGrasp("There is no feasible grasp to pick candidates from.")
+        raise NoGrasp("There is no feasible grasp to pick candidates from; move the object nearer.")
     rows = _canonical_order(grasps)
     points = grasps.p_WContact[rows]
     points = points - points.mean(axis=0)  # so that squared distances keep their digits

@@ -92,11 +92,18 @@ def _fail(error: BaseException, status: int, debug: bool) -> NoReturn:
     """Says in one line what is wrong, and ends. Status 3: a defect of the program."""
     if debug:
         traceback.print_exc()
-    message = " ".join(str(error).split())
+    message = " ".join(_told(error).split())
     if status == 3:
         message = f"internal error, {type(error).__name__}: {message} (--debug shows where)"
     sys.stderr.write(f"tog: {visible(message)}\n")
     sys.exit(status)
+
+
+def _told(error: BaseException) -> str:
+    """The message of an error; of one of the system's that names a file, what to do besides."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}; name another, or make room or rights for it"
+    return str(error)
 
 
 class _Interrupted(BaseException):

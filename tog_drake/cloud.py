@@ -209,7 +209,7 @@ def _margin(noise: Array, workspace: Workspace, config: CloudConfig) -> Array:
 
 
 def _height(view: View) -> NDArray[np.float32]:
-    """z in W of what every pixel shows, (H, W) [m]; NaN in holes."""
+    """Height in W of what every pixel shows, (H, W) [m]; NaN in holes."""
     camera = view.intrinsics
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy

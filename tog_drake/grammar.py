@@ -126,6 +126,7 @@ def _longer(known: str, word: str) -> bool:
 
 
 def at(words: list[str], i: int) -> str:
+    """The word in place ``i``; "" where there is none."""
     return words[i] if 0 <= i < len(words) else ""
 
 

@@ -74,7 +74,9 @@ def guessed_shell(points: Array, table_height: float, seed: int) -> Shell:
     try:
         hull = ConvexHull(corner)
     except (QhullError, ValueError) as error:
-        raise NoGrasp(f"{len(points)} points span no volume above the table") from error
+        raise NoGrasp(
+            f"{len(points)} points span no volume above the table: show more of the object"
+        ) from error
     normal = hull.equations[:, :3]
     a, b, c = np.moveaxis(corner[hull.simplices], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2

@@ -63,7 +63,10 @@ def find_path(
     """
     for name, q in (("start", q_start), ("goal", q_goal)):
         if count_free(q[None]) == 0:
-            raise NoPlan(f"no path: its {name} is in collision or too near to something")
+            raise NoPlan(
+                f"no path: its {name} is in collision or too near to something; choose another "
+                "grasp or clear the scene"
+            )
     straight = straight_line(q_start, q_goal, step)
     if count_free(straight) == len(straight):
         return straight

@@ -119,7 +119,9 @@ def load_pose(path: Path) -> Array:
     try:
         X = np.array(rows, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path} holds no 4×4 matrix of numbers") from error
+        raise InputError(
+            f"{path} holds no 4×4 matrix of numbers; valid: X_WC as four rows of four"
+        ) from error
     if X.shape != (4, 4) or not np.isfinite(X).all():
         raise InputError(f"{path} must hold a 4×4 matrix of finite numbers, not {X.shape}")
     R = X[:3, :3]
@@ -181,7 +183,10 @@ def _read_depth(path: Path, units_per_metre: float | None) -> NDArray[np.float32
     metres[~(np.isfinite(metres) & (metres > 0))] = 0
     valid = metres[metres > 0]
     if valid.size == 0:
-        raise InputError(f"depth {path} is all holes: no pixel is above 0 and finite")
+        raise InputError(
+            f"depth {path} is all holes: no pixel is above 0 and finite; "
+            "check the camera, and take the image again"
+        )
     median = float(np.median(valid))
     if not _PLAUSIBLE_RANGE[0] < median < _PLAUSIBLE_RANGE[1]:
         raise InputError(

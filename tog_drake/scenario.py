@@ -249,4 +249,6 @@ def model_files(scenario: Scenario) -> dict[str, Path]:
     try:
         return {model.name: Path(packages.ResolveUrl(model.file)) for model in models}
     except RuntimeError as error:
-        raise InputError(f"a model of the scenario cannot be found: {error}") from error
+        raise InputError(
+            f"a model of the scenario cannot be found: {error}; valid: a file that is there"
+        ) from error

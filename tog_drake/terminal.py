@@ -69,6 +69,7 @@ def deciding(selector: object) -> str:
 
 
 def print_json(as_json: bool, content: Any) -> None:
+    """Prints ``content`` as the one JSON object on stdout, if ``--json`` was given."""
     if as_json:
         sys.stdout.write(json.dumps(content) + "\n")
 

@@ -247,9 +247,11 @@ def _spline(
     duration = result.GetSolution(trajopt.duration())
     # Drake ends the process when it evaluates a spline that holds NaN.
     if not (np.isfinite(points).all() and np.isfinite(duration) and duration > 0):
-        raise NoPlan("the optimisation ended with values that are not finite")
+        raise NoPlan("the optimisation ended with values that are not finite; try another seed")
     if not result.is_success():
-        raise NoPlan(f"the optimisation failed ({result.get_solution_result().name})")
+        raise NoPlan(
+            f"the optimisation failed ({result.get_solution_result().name}); try another seed"
+        )
     points[:, :3], points[:, -3:] = path[:1].T, path[-1:].T
     return _b_spline(points, trajopt.basis().order(), float(duration))
 

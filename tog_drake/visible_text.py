@@ -12,7 +12,7 @@ _HIDDEN = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 
 
 def visible(text: str, *, limit: int | None = None, lines: bool = False) -> str:
-    """Returns ``text`` with every character that is obeyed, not shown, as an escape: ``\\u001b``.
+    r"""Returns ``text`` with every character that is obeyed, not shown, as an escape: ``\u001b``.
 
     Args:
         text: anything, lone surrogates included, which no file could be written with.

@@ -212,6 +212,7 @@ def git_sha1(data: bytes) -> str:
 
 
 def sha256(data: bytes) -> str:
+    """Returns the SHA-256 of ``data``, as 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 

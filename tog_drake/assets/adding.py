@@ -33,7 +33,7 @@ def find_jobs(folder: Path) -> list[Job]:
         InputError: there is no such folder, no object in it, or its metadata cannot be read.
     """
     if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}")
+        raise InputError(f"there is no folder {folder}; valid: one with the scans in it")
     if (folder / METADATA).is_file():
         jobs = [_described(folder, *item) for item in _read_metadata(folder / METADATA).items()]
     else:
@@ -103,7 +103,7 @@ def _found(folder: Path) -> Job:
 def _only_mesh(folder: Path) -> Path:
     """The one mesh of a folder; convex pieces do not count."""
     if not folder.is_dir():
-        raise InputError(f"there is no folder {folder}")
+        raise InputError(f"there is no folder {folder}; valid: one with the scans in it")
     meshes = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in FORMATS]
     meshes = [m for m in meshes if not m.stem.lower().endswith(("_col", "_vhacd", "collision"))]
     if len(meshes) != 1:

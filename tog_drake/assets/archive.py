@@ -29,6 +29,7 @@ _LONGEST_READ = 2**20  # [bytes] at once: no header or directory of a real archi
 _MAX_NAME = 500  # characters of a path
 _MAX_DEPTH = 12
 _BOMB = "it would unpack to far more than its size allows for: a bomb?"
+_BY_HAND = "try again later, or unpack it yourself and use `tog assets add-dir DIR`"
 _PLAIN = frozenset({tarfile.REGTYPE, tarfile.AREGTYPE, tarfile.DIRTYPE})
 
 
@@ -80,16 +81,19 @@ def _unpack(archive: Path, folder: Path, limits: Limits) -> None:
         elif start == ZIP:
             entries = _zip_entries(file)
         else:
-            raise InputError(f"{archive.name} is neither a .tgz nor a .zip, and cannot be unpacked")
+            raise InputError(
+                f"{archive.name} is neither a .tgz nor a .zip, and cannot be unpacked; {_BY_HAND}"
+            )
         try:
             _write(entries, folder, limits.files, allowed)
         except InputError as error:
-            raise InputError(f"{archive.name} is not unpacked: {error}") from error
+            raise InputError(f"{archive.name} is not unpacked: {error}; {_BY_HAND}") from error
         except Exception as error:  # readers of damaged archives raise anything
             if isinstance(error, OSError) and error.errno is not None:
                 raise  # the disk, not the archive
             raise InputError(
-                f"{archive.name} is damaged: {type(error).__name__}: {quoted(str(error))}"
+                f"{archive.name} is damaged: {type(error).__name__}: {quoted(str(error))}; "
+                f"{_BY_HAND}"
             ) from error
 
 

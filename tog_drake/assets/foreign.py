@@ -27,9 +27,9 @@ class Beside:
         self._folder = path.resolve().parent
 
     def get(self, name: str) -> bytes:
-        """Returns the content of a file in the mesh's folder.
+        r"""Returns the content of a file in the mesh's folder.
 
-        A path that leads elsewhere, such as ``C:\\scans\\texture.png``, ``../texture.png`` or a
+        A path that leads elsewhere, such as ``C:\scans\texture.png``, ``../texture.png`` or a
         network address, stands for the file of that name here, or in such a folder ``scans`` here;
         small letters may stand for capitals.
 
@@ -70,7 +70,7 @@ def check_size(path: Path) -> None:
         InputError: so it is.
     """
     if not path.is_file():
-        raise InputError(f"there is no file {path}")
+        raise InputError(f"there is no file {path}; valid: a mesh, such as mug.obj")
     if path.stat().st_size > MAX_FILE_BYTES:
         raise InputError(f"{path} has more than {MAX_FILE_BYTES} bytes; decimate it first")
 

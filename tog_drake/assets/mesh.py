@@ -113,9 +113,13 @@ def _understood(path: Path) -> Iterator[None]:
             raise
         raise InputError(f"cannot read {path}: {error}") from error
     except MemoryError as error:
-        raise InputError(f"cannot read {path}: it asks for more memory than there is") from error
+        raise InputError(
+            f"cannot read {path}: it asks for more memory than there is; decimate it first"
+        ) from error
     except Exception as error:  # readers of half a dozen formats raise anything
-        raise InputError(f"cannot read {path}: {type(error).__name__}: {error}") from error
+        raise InputError(
+            f"cannot read {path}: {type(error).__name__}: {error}; export it again"
+        ) from error
 
 
 def check_extent(path: Path, extent: Array, scale: float) -> None:

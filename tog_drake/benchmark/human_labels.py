@@ -68,7 +68,10 @@ def export_sample(folder: Path, out: Path, *, count: int, seed: int) -> int:
     """
     shown = list(_grasps(read_run(folder)).items())
     if not shown:
-        raise InputError(f"{folder} has no picture of a grasp to judge ({PICTURES}/*/{PICTURE})")
+        raise InputError(
+            f"{folder} has no picture of a grasp to judge ({PICTURES}/*/{PICTURE}); "
+            "valid: a run of `tog eval` in which grasps were chosen"
+        )
     rows = np.random.default_rng(seed).permutation(len(shown))[:count]
     items = [
         {

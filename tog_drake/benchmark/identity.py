@@ -152,4 +152,6 @@ def _sha256(file: Path) -> str:
     try:
         return file_sha256(file)
     except OSError as error:
-        raise InputError(f"{file} cannot be read: {error.strerror}") from error
+        raise InputError(
+            f"{file} cannot be read: {error.strerror}; the run is told by it"
+        ) from error

@@ -209,6 +209,7 @@ def broken_by(error: BaseException) -> Broken:
 
 
 def die_with_parent() -> None:
+    """Waits for the end of the process that started this one, and then ends this one."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -105,7 +105,7 @@ def _take(
     finally:
         feed.close()
     if not taken:
-        raise InputError("no view was taken")
+        raise InputError("no view was taken; press Enter at each posture, 12 to 15 of them")
     save_views(views, feed.intrinsics, taken)
     tell(f"views: {views}")
 

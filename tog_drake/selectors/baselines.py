@@ -53,4 +53,4 @@ class RandomSelector:
 def _check(candidates: Candidates, task: str) -> None:
     read_task(task)  # an empty task is an error for every selector alike
     if len(candidates) == 0:
-        raise NoChoice("There is no candidate to choose from.")
+        raise NoChoice("There is no candidate to choose from; move the object nearer.")

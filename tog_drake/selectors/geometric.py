@@ -76,7 +76,7 @@ class GeometricSelector:
             raise NoChoice(f"The task {task!r} says to leave things alone; so does the robot.")
         grasps = candidates.grasps
         if len(grasps) == 0:
-            raise NoGrasp("There is no feasible grasp to choose from.")
+            raise NoGrasp("There is no feasible grasp to choose from; move the object nearer.")
         points = np.asarray(cloud.xyzs().T, dtype=np.float64) - [0.0, 0.0, self._table]
         rgb = np.asarray(cloud.rgbs().T, dtype=np.uint8)
         normals = np.asarray(cloud.normals().T, dtype=np.float64)

@@ -153,6 +153,8 @@ def end_mean(values: Array, *, first: bool) -> float:
 
 @dataclass(frozen=True)
 class Circle:
+    """A circle in the plane of the table: the round body of a thing, from above."""
+
     centre: Array  # (2,) [m]
     radius: float  # [m]
 

@@ -95,7 +95,7 @@ class VlmSelector:
         """
         read_task(task)
         if len(candidates) == 0:
-            raise NoGrasp("There is no feasible grasp to choose from.")
+            raise NoGrasp("There is no feasible grasp to choose from; move the object nearer.")
         scene = self._scene(view, cloud, candidates, task)
         self._check_size(scene)
         dialogue = self._connection.dialogue()
