@@ -126,7 +126,7 @@ def load_scenario(
     try:
         content = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read scenario {path}: {error}") from error
+        raise InputError(f"cannot read scenario {path}: {error}; valid: YAML in UTF-8") from error
     scenario = parse_scenario(content, str(path), Scenario())
     if text:
         scenario = parse_scenario(text, "--scenario-text", scenario)

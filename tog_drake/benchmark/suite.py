@@ -100,7 +100,7 @@ def load_suite(name_or_file: str, text: str | None = None) -> Suite:
     try:
         content = _without_tags(path)
     except InputError as error:
-        raise InputError(f"cannot read the suite {path}: {error}") from error
+        raise InputError(f"cannot read the suite {path}: {error}; valid: YAML in UTF-8") from error
     sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
     if isinstance(content, dict) and "groups" in content:
         try:

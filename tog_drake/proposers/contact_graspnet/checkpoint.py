@@ -113,7 +113,7 @@ def _read(file: Path) -> bytes:
     if file.is_dir():
         raise InputError(f"the checkpoint {file} is a folder; valid: a file that torch.save wrote")
     if not file.is_file():
-        raise InputError(f"there is no checkpoint {file}")
+        raise InputError(f"there is no checkpoint {file}; valid: a file that torch.save wrote")
     size = file.stat().st_size
     if size > MAX_BYTES:
         raise InputError(f"the checkpoint {file} has {size} bytes; at most {MAX_BYTES} are read")
