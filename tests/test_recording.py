@@ -1,5 +1,9 @@
+import ast
+import base64
 import io
 import json
+import re
+import sys
 import zipfile
 from dataclasses import replace
 
@@ -11,6 +15,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from tog_drake import video
 from tog_drake.errors import InputError
+from tog_drake.inline_replay import inline_page, inline_replay
 from tog_drake.recording import (
     RECORDING,
     Recorder,
@@ -200,7 +205,38 @@ def test_a_browser_plays_the_page_without_complaint(folder):
         window.wait_for("typeof viewer !== 'undefined' && viewer.animator.duration > 0")
         assert window.do("return viewer.animator.duration") == pytest.approx(0.3, abs=0.05)
         assert not window.complaints()
-        window.screenshot(folder / "page.png")
+        pytest.importorskip("meshcat")
+        cell = f"<!DOCTYPE html><body>{inline_replay(folder).data}</body>"
+        (folder / "cell.html").write_text(cell)
+        window.open(folder / "cell.html")
+        viewer = "document.querySelector('iframe').contentWindow.viewer"
+        window.wait_for(f"{viewer} && {viewer}.animator.duration > 0")
+        assert not window.complaints()
+
+
+def test_in_a_notebook_each_body_is_where_it_was_and_no_server_is_asked(made):
+    pytest.importorskip("meshcat")
+    import umsgpack
+
+    page = inline_page(made)
+    assert len(page) < 2_000_000
+    (packed,) = re.findall(r"const command of (\[.*\])\)", page)
+    commands = [umsgpack.unpackb(base64.b64decode(c)) for c in ast.literal_eval(packed)]
+    drawn = [c["path"] for c in commands if c["type"] == "set_object"]
+    assert len(drawn) > 20
+    (animation,) = (c for c in commands if c["type"] == "set_animation")
+    (hammer,) = animation["animations"]  # nothing else moves
+    tracks = {track["name"]: track["keys"] for track in hammer["clip"]["tracks"]}
+    assert any(path.startswith(hammer["path"]) for path in drawn)
+    assert len(tracks[".position"]) == 10
+    np.testing.assert_allclose(tracks[".position"][0]["value"], made.positions[0, 13:], atol=1e-9)
+    np.testing.assert_allclose(tracks[".position"][-1]["value"], made.positions[-1, 13:], atol=1e-9)
+
+
+def test_without_the_package_a_notebook_hears_how_to_install_it(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "meshcat", None)
+    with pytest.raises(InputError, match=re.escape("pip install 'tog_drake[meshcat]'")):
+        inline_replay(folder)
 
 
 @pytest.mark.skipif(rendering_problem() is not None, reason="cannot render")

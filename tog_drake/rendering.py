@@ -34,7 +34,8 @@ def make_render_engine(background: Rgba, lights: Sequence[LightParameter] = ()) 
 
     Args:
         background: where nothing is.
-        lights: none: one at the camera.
+        lights: none: one at the camera. With some, every scene is lit in the same way; else one
+            with glTF meshes is darker, as VTK then draws all by physically based rendering.
 
     Raises:
         InputError: if this machine cannot render; the message names the package to install.
@@ -45,7 +46,10 @@ def make_render_engine(background: Rgba, lights: Sequence[LightParameter] = ()) 
     backend = "EGL" if sys.platform == "linux" else ""
     return MakeRenderEngineVtk(
         RenderEngineVtkParams(
-            default_clear_color=background.rgba[:3], lights=list(lights), backend=backend
+            default_clear_color=background.rgba[:3],
+            lights=list(lights),
+            backend=backend,
+            force_to_pbr=bool(lights),
         )
     )
 

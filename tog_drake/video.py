@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     import cv2
 
 WIDTH, HEIGHT = 1280, 720  # [pixel]
-EYE, TARGET = (1.5, -0.92, 0.86), (0.3, 0.0, 0.28)  # [m] in W: where the camera is and looks
-FIELD_OF_VIEW = 0.63  # [rad] upright
+EYE, TARGET = (1.55, -0.95, 0.9), (0.3, 0.0, 0.31)  # [m] in W: where the camera is and looks
+FIELD_OF_VIEW = 0.71  # [rad] upright
 BACKGROUND = Rgba(0.93, 0.94, 0.95, 1.0)
 LIGHTS = [
-    LightParameter(type="directional", frame="world", direction=[-0.35, 0.5, -1.0], intensity=0.65),
-    LightParameter(type="directional", frame="camera", direction=[0.0, 0.0, 1.0], intensity=0.45),
+    LightParameter(type="directional", frame="world", direction=[-0.35, 0.5, -1.0], intensity=2.2),
+    LightParameter(type="directional", frame="camera", direction=[0.0, 0.0, 1.0], intensity=1.3),
 ]
 CODECS = {"avc1": "H.264", "vp09": "VP9"}
 """Codes and names of what is tried, in order. Browsers play both, and other programs rather the
