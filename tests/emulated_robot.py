@@ -33,7 +33,8 @@ class Wire:
         self.arm = Inbox(self.lcm, PANDA_STATUS, read_arm_status)
         self.hand = Inbox(self.lcm, HAND_STATUS, read_hand_status)
         self.camera = Inbox(self.lcm, "TOG_WRIST", read_images)
-        self._log = log
+        self._log = log.open(encoding="utf-8")
+        self._lines, self._rest = [], ""
 
     def listen(self, seconds):
         end = time.time() + seconds
@@ -63,8 +64,9 @@ class Wire:
         self.lcm.Publish(HAND_COMMAND, hand_command_message(opening, force, int(1e6 * time.time())))
 
     def logged(self, event):
-        lines = map(json.loads, self._log.read_text().splitlines())
-        return [line for line in lines if line["event"] == event]
+        *lines, self._rest = (self._rest + self._log.read()).split("\n")
+        self._lines += map(json.loads, lines)
+        return [line for line in self._lines if line["event"] == event]
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """``tog hardware run`` against an emulated robot; prints, as JSON, what came of it.
 
-python hardware_session.py lifted|stopped|ruled FOLDER
+python hardware_session.py lifted|ruled FOLDER
 """
 
 import itertools
@@ -17,6 +17,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from command import tog
 from emulated_robot import emulated_robot
 
 from tog_drake.hardware import connection, episode
@@ -40,26 +41,29 @@ GRIP_FORCE = 55.0  # [N] the most that safety allows; the scenario asks for more
 # A busy computer makes everything late. What is judged here is where the arm goes, not when.
 PATIENT = """{
   hardware: {safety: {status_age: 2.0, image_age: 20.0, stall: 2.0, tracking_error: 0.5}},
-  pipeline: {executor: {max_tracking_error: 0.5}, trajectory: {settle_time: 2.0}}
+  pipeline: {
+    executor: {look_time: 0.2, max_tracking_error: 0.5},
+    trajectory: {settle_time: 1.0, hold_time: 0.5}
+  }
 }"""
 
 
-def hardware_run(folder, *options, said=None, while_running=None):
+def run_options(folder, *options):
+    common = ("--task", TASK, "--seed", str(SEED), "--no-meshcat", "--json")
+    return ("hardware", "run", *common, "--out", str(folder), *options)
+
+
+def hardware_run(folder, *options):
     """Runs the command; returns its exit status, its record, and what it wrote on stderr."""
-    command = [sys.executable, "-m", "tog_drake.cli", "hardware", "run", "--task", TASK]
-    command += ["--seed", str(SEED), "--out", str(folder), "--no-meshcat", "--json", *options]
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        if while_running:
-            while_running(process)
-        out, err = process.communicate(said, timeout=120)
-    record = json.loads(out.splitlines()[-1]) if out.strip() else None
-    return {"status": process.returncode, "record": record, "err": err[-2000:]}
+    done = tog(*run_options(folder, *options))
+    record = json.loads(done.out.splitlines()[-1]) if done.out.strip() else None
+    return {"status": done.status, "record": record, "err": done.err[-2000:]}
+
+
+def begun_run(folder, *options):
+    """Begins the command in a process of its own."""
+    command = [sys.executable, "-m", "tog_drake.cli", *run_options(folder, *options)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def sent(wire):
@@ -117,8 +121,7 @@ def program():
 def lifted(folder):
     with emulated_robot(folder, "--seed", str(SEED), "--scenario-text", PATIENT) as wire:
         gentle = PATIENT.replace("safety: {", f"safety: {{grip_force: {GRIP_FORCE}, ")
-        patient = ("--scenario-text", PATIENT)
-        told = {"dry": hardware_run(folder / "dry", "--dry-run", *patient)}
+        told = {"dry": hardware_run(folder / "dry", "--dry-run", "--scenario-text", PATIENT)}
         told["dry_sent"] = sent(wire)
         told["program"] = program()
         told["program_sent"] = sent(wire)
@@ -135,27 +138,6 @@ def lifted(folder):
     return told
 
 
-def stopped(folder):
-    reflex = "reflex:PANDA_STATUS:0.3:3"  # while it moves for the first time
-    with emulated_robot(
-        folder, "--seed", str(SEED), "--scenario-text", PATIENT, "--fault", reflex
-    ) as wire:
-        told = {"reflex": {**in_this_process(), "still": stillness(wire, 0.5)}}
-        assert wire.until(lambda: wire.arm.newest.robot_mode == RobotMode.MOVE)
-        before = len(wire.logged("command"))
-
-        def interrupt(process):
-            home = wire.arm.newest.q
-            assert wire.until(lambda: np.abs(wire.arm.newest.q - home).max() > 0.05)
-            process.send_signal(signal.SIGINT)
-
-        options = ("--yes", "--speed", "0.25", "--scenario-text", PATIENT)
-        told["run"] = hardware_run(folder / "run", *options, while_running=interrupt)
-        told["commanded"] = commanded(wire, before)
-        told["still"] = stillness(wire, 1.0)
-        return told
-
-
 # Rule of safety, and the setting under which the planned motion would break it. That of jerk cannot
 # be the first: whoever breaks it from rest breaks that of acceleration in the same period.
 REFUSED = {
@@ -169,10 +151,11 @@ REFUSED = {
 
 def ruled(folder):
     """What each rule keeps the arm from, and how it stands afterwards."""
-    push = "push:PANDA_STATUS:0.3:2:40"  # while it moves for the first time
     told = {}
     with emulated_robot(
-        folder, "--seed", str(SEED), "--scenario-text", PATIENT, "--fault", push
+        *(folder, "--seed", str(SEED), "--scenario-text", PATIENT, "--rate", "100"),
+        *("--fault", "push:PANDA_STATUS:0.3:2:40"),  # while it moves for the first time
+        *("--recover-after", "1"),
     ) as wire:
         for rule, settings in REFUSED.items():
             told[rule] = {**in_this_process(**settings), "sent": sent(wire)}
@@ -192,9 +175,32 @@ def ruled(folder):
             ("terminated", {"loop": Terminated}),
             ("deadline", {"loop": Hurried}),
             ("stale_status", {"loop": hung(wire.process), "status_age": 0.4}),
+            ("robot_mode", {"loop": Jumping}),
         ):
             told[rule] = {**in_this_process(**settings), "still": stillness(wire, 0.5)}
+        assert wire.until(lambda: wire.arm.newest.robot_mode == RobotMode.MOVE)
+        told["interrupted"] = interrupted(wire, folder)
     return told
+
+
+def interrupted(wire, folder):
+    """What comes of Ctrl-C while the arm moves."""
+    before = len(wire.logged("command"))
+    with begun_run(folder / "run", "--yes", "--scenario-text", PATIENT) as process:
+        home = wire.arm.newest.q
+        wire.until(
+            lambda: np.abs(wire.arm.newest.q - home).max() > 0.05 or process.poll() is not None,
+            seconds=300,
+        )
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=300)
+    return {
+        "status": process.returncode,
+        "record": json.loads(out.splitlines()[-1]) if out.strip() else None,
+        "err": err[-2000:],
+        "commanded": commanded(wire, before),
+        "still": stillness(wire, 1.0),
+    }
 
 
 def yes(*_):
@@ -217,16 +223,38 @@ def in_this_process(*, channel="TOG_WRIST", loop=RealTime, ask=yes, **settings):
     return {"outcome": found["outcome"], "rule": found["hardware"]["rule"]}
 
 
-class Stalling(RealTime):
-    """Is kept from working for half a second, once, while the arm moves."""
+class Moving(RealTime):
+    """A loop to which something happens, once, when the arm has begun to move."""
 
     ticks = 0
 
     def listen(self, *, cameras=True):
         self.ticks += not cameras
         if self.ticks == 60:
-            time.sleep(0.5)
+            self.happens()
         super().listen(cameras=cameras)
+
+
+class Stalling(Moving):
+    """Is kept from working for half a second."""
+
+    def happens(self):
+        time.sleep(0.5)
+
+
+class Terminated(Moving):
+    """Gets SIGTERM."""
+
+    def happens(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+class Jumping(Moving):
+    """Sends a command that no arm can follow: its controller stops it."""
+
+    def happens(self):
+        bus = self._robot.bus
+        bus.command_arm(bus.arm.newest.q + 1.0)
 
 
 class Clicked(RealTime):
@@ -236,18 +264,6 @@ class Clicked(RealTime):
         button = mock.Mock()
         button.GetButtonClicks.side_effect = itertools.chain([0] * 60, itertools.repeat(1))
         super().__init__(simulator, robot, button)
-
-
-class Terminated(RealTime):
-    """Gets SIGTERM while the arm moves."""
-
-    ticks = 0
-
-    def listen(self, *, cameras=True):
-        self.ticks += not cameras
-        if self.ticks == 60:
-            os.kill(os.getpid(), signal.SIGTERM)
-        super().listen(cameras=cameras)
 
 
 class Hurried(RealTime):
@@ -260,14 +276,9 @@ class Hurried(RealTime):
 def hung(driver):
     """A loop while whose arm moves the driver hangs."""
 
-    class Hung(RealTime):
-        ticks = 0
-
-        def listen(self, *, cameras=True):
-            self.ticks += not cameras
-            if self.ticks == 60:
-                driver.send_signal(signal.SIGSTOP)
-            super().listen(cameras=cameras)
+    class Hung(Moving):
+        def happens(self):
+            driver.send_signal(signal.SIGSTOP)
 
         def move(self, ended, longest):
             super().move(ended, longest)
@@ -324,5 +335,5 @@ def moved_by_hand(q):
 
 if __name__ == "__main__":
     begun = time.monotonic()
-    told = {"lifted": lifted, "stopped": stopped, "ruled": ruled}[sys.argv[1]](Path(sys.argv[2]))
+    told = {"lifted": lifted, "ruled": ruled}[sys.argv[1]](Path(sys.argv[2]))
     print(json.dumps({**told, "seconds": time.monotonic() - begun}))

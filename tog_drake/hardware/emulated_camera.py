@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.faults import FaultyLine, Schedule
 from tog_drake.scenario import Scenario
@@ -47,7 +49,10 @@ class EmulatedCameras:
     def __call__(self, scene: Scene) -> None:
         self._schedule.begin, self._schedule.moved = scene.begin, scene.moved
         plant = self._station.plant
-        plant.SetPositions(plant.GetMyContextFromRoot(self._context), scene.positions)
+        mine = plant.GetMyContextFromRoot(self._context)
+        # Drake keeps the images as long as nothing is set: a world at rest is rendered once.
+        if not np.array_equal(plant.GetPositions(mine), scene.positions):
+            plant.SetPositions(mine, scene.positions)
         for camera, channel in self._channels.items():
             line = self._lines[channel]
             line.send(self._render(camera, round(1e6 * scene.time)), scene.time)

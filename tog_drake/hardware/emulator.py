@@ -30,6 +30,7 @@ from tog_drake.stations.simulation import FINGER_P
 
 HAND_PERIOD = 0.1  # [s] of the hand's status
 IMAGE_PERIOD = 0.2  # [s] at least, from one image to the next
+UNSEEN = 1e-5  # [m, rad] what has moved by less looks the same: it is not rendered again
 ELBOW = 3  # index of the joint that a fault pushes
 # The world is behind by as much as its last step took. A slow machine is to slow the world down,
 # not to let it take ever longer steps.
@@ -112,6 +113,7 @@ class Emulator:
         longest = max(LONGEST, hardware_of(scenario).safety.stall / 5)
         self._arm = ArmDriver(self._state.q, config.recover_after, longest)
         self._hand = HandDriver(self._state.opening, FINGER_P)
+        self._shown = self._state.positions
         self._mode: tuple[object, ...] = ()  # as it was written down last
         self._last_tick = self._last_step = time.time()
         self._hand_status_at = self._images_at = self._last_tick
@@ -198,7 +200,9 @@ class Emulator:
         if now < self._images_at or self._cameras.busy:
             return
         self._images_at = now + IMAGE_PERIOD
-        scene = Scene(self._state.positions, now, self._schedule.begin, self._schedule.moved)
+        if np.abs(self._state.positions - self._shown).max() > UNSEEN:
+            self._shown = self._state.positions
+        scene = Scene(self._shown, now, self._schedule.begin, self._schedule.moved)
         self._cameras.ask(scene)
         self._log.write(now, "image", positions=scene.positions.tolist())
 
