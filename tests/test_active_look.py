@@ -1,10 +1,12 @@
 """An episode in which the arm looks a second time at a bottle that it saw from above."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tog_drake.cloud import scene_cloud
 from tog_drake.episode import run_episode
 from tog_drake.hardware.config import HardwareConfig
 from tog_drake.safety import SafetyConfig
@@ -85,3 +87,16 @@ def test_a_way_to_a_look_that_is_not_safe_is_not_begun_and_that_is_recorded():
     assert "hand_speed" in record["message"]
     assert len(record["attempts"][0]["looks"]) == 1
     assert record["grasp_success"] is False
+
+
+def test_an_image_of_holes_alone_ends_the_episode_and_it_is_recorded(monkeypatch):
+    cloud = scene_cloud
+
+    def blind(views, *rest):
+        return cloud([replace(v, depth=np.zeros_like(v.depth)) for v in views], *rest)
+
+    monkeypatch.setattr("tog_drake.cloud.scene_cloud", blind)
+    record = run().record
+    assert record["outcome"] == "no_image"
+    assert "pixels of the depth image are holes" in record["message"]
+    assert record["attempts"][0]["looks"][0]["reason"].startswith("No further look: all")

@@ -21,7 +21,7 @@ from pydrake.systems.framework import Context, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial
 
 from tog_drake.distance_field import DistanceField
-from tog_drake.errors import InputError, NoGrasp, NoPlan
+from tog_drake.errors import InputError, NoGrasp, NoImage, NoPlan
 from tog_drake.guessed_surface import camera_poses, guessed_shell, standing, unbarred
 from tog_drake.obstacles import Obstacles
 from tog_drake.panda import MAX_OPENING, Q_LOWER, Q_UPPER
@@ -265,7 +265,7 @@ class LookPlanner(LeafSystem):
             look = self._plan(context, self._config.least_gain)
             if look.motion is None and not self._is_graspable(context):
                 look = self._plan(context, 0.0)
-        except NoGrasp as error:  # the stages that follow will say so
+        except (NoGrasp, NoImage) as error:  # the stages that follow will say so
             look = NextLook(None, f"No further look: {error}.")
         output.set_value(look)
 
