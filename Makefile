@@ -24,7 +24,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 # Each run is saved under out/bench; `make bench-compare` sets a new one beside the last, or beside
 # the one that it is given: `make bench-compare RUN=0001`.

@@ -30,7 +30,10 @@ class Browser:
         return answer
 
     def open(self, path):
-        self._post("url", url=path.as_uri())
+        self.open_url(path.as_uri())
+
+    def open_url(self, url):
+        self._post("url", url=url)
 
     def do(self, script):
         return self._post("execute/sync", script=script, args=[])

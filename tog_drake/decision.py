@@ -70,6 +70,9 @@ class Decision:
     choice: Choice | None = None
     motion: GraspMotion | None = None
     error: EpisodeError | None = None
+    overruled: "Choice | EpisodeError | None" = None
+    """What the selector said, where a person chose otherwise; see ``by_hand``."""
+    by_hand: bool = False  # whether a person chose
     seconds: dict[str, float] = field(default_factory=dict)
     views: tuple[CameraView, ...] = ()  # of all cameras and looks, where there are several
     alignments: Mapping[str, Alignment] | None = None  # by camera, where views were fused
@@ -79,6 +82,11 @@ class Decision:
     def shown(self) -> View | None:
         """What whoever chooses was shown; the pipeline's own view as long as none is selected."""
         return self.view if self.selected_view is None else self.selected_view.view
+
+    @property
+    def said(self) -> Choice | EpisodeError | None:
+        """What the selector said, whoever chose in the end; None: it was not asked."""
+        return self.overruled if self.by_hand else self.choice or self.error
 
     @property
     def look(self) -> Look | None:
@@ -106,15 +114,33 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
         look: what the first stages said in the very same situation: they are not asked again, now
             or later in this context, and the seconds are those that they took then.
     """
-    mine = pipeline.GetMyContextFromRoot(context)
     decision = Decision()
     if look is not None and len(pipeline.cameras) == 1:
         pipeline.fix(context, "views", (CameraView(pipeline.cameras[0], look.view),))
-    for stage in STAGES:
-        if look is not None and _is_of_look(stage):
+    if look is not None:
+        for stage in filter(_is_of_look, STAGES):
             setattr(decision, stage.port, getattr(look, stage.port))
             pipeline.fix(context, stage.port, getattr(look, stage.port))
             decision.seconds[stage.key] = look.seconds[stage.key]
+    go_on(decision, pipeline, context)
+    return decision
+
+
+def go_on(
+    decision: Decision, pipeline: GraspPipeline, context: Context, until: str = STAGES[-1].port
+) -> None:
+    """Evaluates the stages that a decision lacks, in order, up to one of them or the first error.
+
+    Args:
+        decision: takes their values.
+        pipeline, context: as of ``decide``.
+        until: the port of the last stage to evaluate.
+    """
+    mine = pipeline.GetMyContextFromRoot(context)
+    last = [stage.port for stage in STAGES].index(until)
+    decision.error = None
+    for stage in STAGES[: last + 1]:
+        if getattr(decision, stage.port) is not None:
             continue
         start = time.perf_counter()
         try:
@@ -130,4 +156,3 @@ def decide(pipeline: GraspPipeline, context: Context, look: Look | None = None) 
     if pipeline.HasOutputPort("alignments"):
         decision.alignments = pipeline.GetOutputPort("alignments").Eval(mine)
     decision.weights = weights_of(pipeline.proposer)
-    return decision

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
@@ -33,6 +34,16 @@ from tog_drake.world import World, build_world, look
 _SAMPLE = 0.02  # [s] between two looks of the judge
 
 
+class Attendant(Protocol):
+    """A person who goes through an episode by hand, or who stands in for one."""
+
+    def decide(self, world: World, context: Context) -> Decision:
+        """Returns what is to be done; called in place of ``decision.decide``."""
+
+    def watch(self) -> None:
+        """Called every 20 ms of the simulation while the arm moves. Raises Stopped to end it."""
+
+
 @dataclass(frozen=True)
 class Episode:
     """What came out of one episode."""
@@ -52,6 +63,7 @@ def run_episode(
     target: str | None = None,
     meshcat: Meshcat | None = None,
     shared: SharedWork | None = None,
+    attendant: Attendant | None = None,
 ) -> Episode:
     """Runs one episode: look, decide, move, lift, hold, and judge.
 
@@ -63,6 +75,7 @@ def run_episode(
         meshcat: where to draw and record, if anywhere.
         shared: where other episodes may have done some of this work already. It does not serve
             those that are shown, nor those that may look again (``retries``, ``look``).
+        attendant: who decides in the pipeline's place, and may stop the arm.
 
     Raises:
         InputError: if the scenario or the task cannot be used.
@@ -79,7 +92,8 @@ def run_episode(
         kept = KeptWorld(shared, scenario, context, world.pipeline, world.target)
     judge = Judge(world.station, world.labels, world.target)
     recorder = Recorder(world.station, scenario)
-    course = _run(simulator, world, judge, recorder, task, kept, meshcat)
+    course = _Course(recorder, attendant)
+    _run(simulator, world, judge, course, task, kept, meshcat)
     record = _record(course, scenario, world, task)
     record["scenario"] = name
     _enter_end(record, course)
@@ -102,6 +116,7 @@ class _Course:
     """What happened from the first look on."""
 
     recorder: Recorder
+    attendant: Attendant | None
     attempts: list[AttemptRecord] = field(default_factory=list)
     decision: Decision = field(default_factory=Decision)  # of the last look, as the next two
     looked: float = 0.0  # [s]
@@ -115,48 +130,50 @@ def _run(
     simulator: Simulator,
     world: World,
     judge: Judge,
-    recorder: Recorder,
+    course: _Course,
     task: str,
     kept: KeptWorld | None,
     meshcat: Meshcat | None,
-) -> _Course:
-    """Looks, decides and moves, and again as long as the executor goes back to look."""
-    context = simulator.get_mutable_context()
-    course = _Course(recorder)
+) -> None:
+    """Looks, decides and moves, and again as long as the executor goes back to look.
+
+    What happens is entered in ``course``.
+    """
+    context, attendant = simulator.get_mutable_context(), course.attendant
     while True:
         looks: list[LookRecord] = []
         try:
             state = _look_around(simulator, world, judge, course, looks)
         except Stopped as error:
-            course.decision, course.looked, course.between = (
-                Decision(error=error),
-                context.get_time(),
-                None,
-            )
+            course.decision, course.looked = Decision(error=error), context.get_time()
+            course.between = None
             course.attempts.append(attempt_record(course.decision, looks))
-            return course
+            return
         if state is not None and state.phase is Phase.FAILED:
             course.decision, course.looked, course.between = Decision(), context.get_time(), None
             course.attempts.append(attempt_record(course.decision, looks))
             verdict = judge.verdict(state, task)
             course.execution = _executed(world, context, verdict, state, course.wall)
-            return course
-        decision = decide(world.pipeline, context) if kept is None else kept.decide(context)
+            return
+        if attendant is not None:
+            decision = attendant.decide(world, context)
+        else:
+            decision = decide(world.pipeline, context) if kept is None else kept.decide(context)
         course.decision, course.looked = decision, context.get_time()
         course.between = _parts_between_fingers(world, context, decision)
         course.attempts.append(attempt_record(decision, looks))
         if meshcat is not None:
             draw(meshcat, decision, world.planning_model.X_WL0)
         if decision.error is not None:
-            return course
+            return
         execution = None if kept is None else kept.execution(decision)
         if execution is None:
             started = time.perf_counter()
             try:
-                state = _execute(simulator, world, judge, course.recorder)
+                state = _execute(simulator, world, judge, course)
             except Stopped as error:
                 decision.error = error
-                return course
+                return
             course.wall += time.perf_counter() - started
             course.attempts[-1]["opening"] = state.opening_after
             if state.phase is Phase.OBSERVE:
@@ -168,7 +185,7 @@ def _run(
                 kept.keep(decision, execution)
         course.attempts[-1]["opening"] = execution.opening
         course.execution = execution
-        return course
+        return
 
 
 def _record(course: _Course, scenario: Scenario, world: World, task: str) -> EpisodeRecord:
@@ -207,7 +224,7 @@ def _look_around(
         looks.append(look_record(next_look, planned - started))
         if next_look.motion is None:
             break
-        state = _execute(simulator, world, judge, course.recorder)
+        state = _execute(simulator, world, judge, course)
         course.wall += time.perf_counter() - planned
         if state.phase is Phase.FAILED:
             break
@@ -265,7 +282,7 @@ def _check_success_is_possible(scenario: Scenario) -> None:
         )
 
 
-def _execute(simulator: Simulator, world: World, judge: Judge, recorder: Recorder) -> ExecutorState:
+def _execute(simulator: Simulator, world: World, judge: Judge, course: _Course) -> ExecutorState:
     """Lets the executor move until it has ended or looks once more; the judge watches."""
     context = simulator.get_context()
     station_context = world.station.GetMyContextFromRoot(context)
@@ -275,7 +292,9 @@ def _execute(simulator: Simulator, world: World, judge: Judge, recorder: Recorde
     while True:
         state = executor.state(executor.GetMyContextFromRoot(context))
         judge.observe(station_context, state)
-        recorder.observe(station_context)
+        course.recorder.observe(station_context)
+        if course.attendant is not None:
+            course.attendant.watch()
         look_at = look_at or state.look_at
         then = context.get_time() + _SAMPLE
         if state.look_at > look_at:  # it has arrived, and stands still until it looks

@@ -63,9 +63,15 @@ def blank(size: tuple[int, int]) -> Image:
 
 
 def write_words(
-    image: Image, words: str, y: int, ink: tuple[int, int, int], scale: float, x: int = 12
+    image: Image,
+    words: str,
+    y: int,
+    ink: tuple[int, int, int],
+    scale: float,
+    x: int = 12,
+    stroke: int = 1,
 ) -> None:
     """Writes on ``image`` in place, from (x, y) [pixels], the left end of the base line."""
     import cv2
 
-    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, ink, 1, cv2.LINE_AA)
+    cv2.putText(image, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, scale, ink, stroke, cv2.LINE_AA)

@@ -15,7 +15,7 @@ from tog_drake.proposers.answered import AnsweredGrasps
 from tog_drake.selectors.oracle import ORACLE_NOTE, Oracle
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
-from tog_drake.values import CameraView, Grasps, NextLook
+from tog_drake.values import CameraView, Choice, GraspMotion, Grasps, NextLook
 from tog_drake.view_scorers.vlm_compare import VlmCompare
 from tog_drake.visibility import MarkState, mark_states, shown_in
 from tog_drake.vlm_record import (
@@ -103,6 +103,13 @@ class HardwareRecord(TypedDict):
     late: float | None  # [s] the most that a command was late; null: it did not move
 
 
+class ByHandRecord(TypedDict):
+    """That a person chose the grasp, and what the selector had said."""
+
+    selector: ChoiceRecord | None  # what it had chosen; null: nothing, or it was not asked
+    message: str | None  # why it had chosen none
+
+
 class EpisodeRecord(TypedDict):
     """One episode, or one choice on a saved view (then what needs a robot is null)."""
 
@@ -124,6 +131,7 @@ class EpisodeRecord(TypedDict):
     view_selection: ViewSelectionRecord | None  # null: not reached, or there was one saved view
     alignment: dict[str, AlignmentRecord] | None  # camera -> ...; null: views were not fused
     choice: ChoiceRecord | None
+    by_hand: ByHandRecord | None  # null: the selector chose, nobody intervened
     vlm: VlmRecord | None  # null: no model was asked
     attempts: list[AttemptRecord]
     """One, and one more for each retry. ``collisions``, ``seconds.execute`` and ``sim`` cover all,
@@ -171,7 +179,7 @@ OUTCOMES = {
     "no_plan": "no motion to the chosen grasp passed the checks",
     "collision": "the arm hit something it knew of, or no longer followed its command",
     "no_image": "a real camera brought no image, or an old one",
-    "stopped": "a rule of safety or a person stopped the real arm",
+    "stopped": "a rule of safety, or a person, stopped the arm",
     "broken": "the program failed; traceback.txt beside it says where",
     "chosen": "a grasp was chosen; nothing was executed: a saved view, or nobody said yes",
 }
@@ -214,7 +222,8 @@ def new_record(
         rejected=dict(rejected),
         view_selection=_view_selection_record(decision, config),
         alignment=_alignment_record(decision, config.camera),
-        choice=_choice_record(decision),
+        choice=_choice_record(decision.choice, decision.motion),
+        by_hand=_by_hand_record(decision),
         vlm=vlm_record(decision, config.selector, seed=seed),
         attempts=[attempt_record(decision)],
         outcome=error.outcome if error is not None else "chosen",
@@ -337,13 +346,22 @@ def _view_selection_record(
     )
 
 
-def _choice_record(decision: Decision) -> ChoiceRecord | None:
-    choice = decision.choice
+def _by_hand_record(decision: Decision) -> ByHandRecord | None:
+    if not decision.by_hand:
+        return None
+    said = decision.overruled
+    return ByHandRecord(
+        selector=_choice_record(said if isinstance(said, Choice) else None, None),
+        message=None if said is None or isinstance(said, Choice) else str(said),
+    )
+
+
+def _choice_record(choice: Choice | None, motion: GraspMotion | None) -> ChoiceRecord | None:
     if choice is None:
         return None
     return ChoiceRecord(
         index=choice.index,
-        planned_index=None if decision.motion is None else decision.motion.grasp_index,
+        planned_index=None if motion is None else motion.grasp_index,
         part=choice.part,
         reason=choice.reason,
         status=choice.status,
@@ -370,7 +388,7 @@ def attempt_record(decision: Decision, looks: Sequence[LookRecord] = ()) -> Atte
     """Returns what a decision says of its attempt; what the hand felt is not known yet."""
     return AttemptRecord(
         looks=list(looks),
-        choice=_choice_record(decision),
+        choice=_choice_record(decision.choice, decision.motion),
         exchanges=exchange_records(exchanges_of(decision)),
         motion=_motion_record(decision),
         opening=None,

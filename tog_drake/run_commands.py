@@ -66,6 +66,14 @@ def run(
     meshcat: Annotated[
         bool, typer.Option(help="Show the run live on localhost, and its replay in the report.")
     ] = True,
+    interactive: Annotated[
+        bool,
+        typer.Option(
+            "--interactive",
+            help="Go through it by hand, with buttons in Meshcat: look, propose, ask, choose "
+            "yourself, approve, run, stop, again with a new seed.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run one simulated episode. Exit 0: lifted; 1: not, see the outcome; 2: bad input."""
@@ -96,7 +104,21 @@ def run(
     if noise:
         loaded.cameras = with_noise(loaded.cameras)
     target = object_ if scenario is not None else None  # alone in a scenario of its own
+    if interactive and not meshcat:
+        raise InputError("--interactive has its buttons in Meshcat; valid: without --no-meshcat")
     live = show_live(console) if meshcat else None
+    if interactive:
+        from tog_drake.control_panel import ControlPanel
+
+        assert live is not None
+        loaded.simulator_config.target_realtime_rate = 1.0  # or nobody could stop it
+        say(console, "open it, then Open Controls at its top right; Ctrl-C or End ends it")
+        panel = ControlPanel(live, loaded, name=name, task=task, target=target, out=out)
+        last = panel.run()
+        if last is not None:
+            print_stages(console, last.record)
+            print_json(as_json, last.record)
+        raise typer.Exit(0 if last is not None and last.record["outcome"] == "lifted" else 1)
     with console.status(f"looking, {deciding(loaded.pipeline.selector)}, moving ..."):
         episode = run_episode(loaded, name=name, task=task, target=target, meshcat=live)
     save_episode(out, episode.record, episode.recording)

@@ -7,7 +7,7 @@ from tog_drake.decision import Decision
 from tog_drake.errors import NoChoice, NoView
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import specification
-from tog_drake.values import Exchange
+from tog_drake.values import Choice, Exchange
 
 MAX_ANSWER = 20_000  # characters of an answer that a record keeps
 
@@ -44,11 +44,9 @@ class VlmRecord(TypedDict):
 
 def exchanges_of(decision: Decision) -> tuple[Exchange, ...]:
     """Returns what a model was asked, of the view and then of the grasp, whatever came of it."""
-    selected, choice, error = decision.selected_view, decision.choice, decision.error
+    selected, said = decision.selected_view, decision.said
     exchanges = () if selected is None else selected.exchanges
-    if choice is not None:
-        return exchanges + choice.exchanges
-    return exchanges + (error.exchanges if isinstance(error, NoView | NoChoice) else ())
+    return exchanges + (said.exchanges if isinstance(said, Choice | NoView | NoChoice) else ())
 
 
 def exchange_records(exchanges: Iterable[Exchange]) -> list[ExchangeRecord]:
@@ -83,18 +81,13 @@ def vlm_record(decision: Decision, config: Any, *, seed: int) -> VlmRecord | Non
     """
     if not isinstance(config, Vlm):
         return None
-    choice, error = decision.choice, decision.error
-    status: str | None = None
-    if choice is not None:
-        status = choice.status
-    elif isinstance(error, NoChoice):
-        status = error.status
+    said = decision.said
     return VlmRecord(
         strategy=config.strategy,
         rendering=config.rendering,
         model=f"replay:{config.replay}" if config.model is None else specification(config.model),
         seed=seed,
-        status=status,
-        fallback=None if choice is None else choice.fallback,
+        status=said.status if isinstance(said, Choice | NoChoice) else None,
+        fallback=said.fallback if isinstance(said, Choice) else None,
         exchanges=exchange_records(exchanges_of(decision)),
     )

@@ -1,0 +1,131 @@
+"""The control panel: an episode gone through by hand, by a program and in a real browser."""
+
+import json
+import threading
+import time
+
+import numpy as np
+from browser import browser, needs_browser
+
+from tog_drake import control_panel
+from tog_drake.control_panel import APPROVE, ASK, K_SLIDER, LOOK, NEXT, PROPOSE, RESET, RUN
+from tog_drake.scenario import load_scenario
+from tog_drake.visualization import make_meshcat
+
+FAST = "{pipeline: {trajectory: {speed: 1.0, lift_speed: 0.5, hold_time: 2.05}}}"
+TASK = "hand me the hammer"
+
+
+def make_panel(out, text=FAST):
+    scenario = load_scenario("Hammer", text, seed=0)
+    return control_panel.ControlPanel(make_meshcat(), scenario, name="Hammer", task=TASK, out=out)
+
+
+def test_a_person_chooses_otherwise_and_the_record_says_so_and_what_the_selector_had_said(tmp_path):
+    panel = make_panel(tmp_path)
+    panel.run([LOOK, PROPOSE, ASK, NEXT, NEXT, APPROVE, RUN])
+    record = json.loads((tmp_path / "episode.json").read_text())
+    assert record["outcome"] == "lifted", record["message"]
+    assert record["by_hand"]["selector"]["part"] == "head"
+    assert record["choice"]["index"] != record["by_hand"]["selector"]["index"]
+    assert record["choice"]["reason"].startswith("A person chose")
+    assert record["choice"]["planned_index"] == record["choice"]["index"]
+    assert "chosen by a person" in (tmp_path / "report.html").read_text()
+
+
+def test_nothing_moves_before_it_is_approved_and_a_later_choice_takes_the_approval_back(tmp_path):
+    panel = make_panel(tmp_path)
+    assert panel.run([ASK, RUN]) is None
+    assert "nothing is approved yet" in panel.status
+    assert panel.run([APPROVE, NEXT, RUN]) is None
+    assert "nothing is approved yet" in panel.status
+    assert not (tmp_path / "episode.json").exists()
+
+
+def test_who_asks_again_has_the_selectors_choice_back(tmp_path):
+    panel = make_panel(tmp_path)
+    panel.run([ASK])
+    said = panel.decision.choice
+    panel.run([ASK, NEXT, ASK])
+    assert panel.decision.choice.index == said.index
+    assert not panel.decision.by_hand
+    assert "head" in panel.status
+
+
+def test_another_seed_is_another_scene_and_another_k_other_candidates(tmp_path):
+    panel = make_panel(tmp_path)
+    panel.run([PROPOSE])
+    seen = panel.decision.view.rgb
+    panel.run([PROPOSE, RESET, PROPOSE])
+    assert panel.scenario.random_seed == 1
+    assert not np.array_equal(panel.decision.view.rgb, seen)
+    panel.scenario.pipeline.candidates.k = 3
+    panel.run([PROPOSE])
+    assert len(panel.decision.candidates) == 3
+
+
+@needs_browser
+def test_in_a_browser_buttons_lead_from_a_look_to_a_lifted_hammer(tmp_path):
+    panel = make_panel(tmp_path)
+
+    def click(window, name):
+        buttons = "[...document.querySelectorAll('.cr.function')]"
+        found = f"{buttons}.find(e => e.textContent.includes({json.dumps(name)}))"
+        window.wait_for(found)
+        window.do(f"{found}.querySelector('.property-name').click()")
+
+    def slide(window, name, value):
+        sliders = "[...document.querySelectorAll('.cr.number')]"
+        found = f"{sliders}.find(e => e.textContent.includes({json.dumps(name)}))"
+        window.do(
+            f"const box = {found}.querySelector('input'); box.value = '{value}';"
+            "box.dispatchEvent(new Event('change')); box.blur()"
+        )
+
+    def until(condition):
+        end = time.monotonic() + 100
+        while not condition() and time.monotonic() < end:
+            time.sleep(0.05)
+        assert condition(), panel.status
+
+    def person():
+        try:
+            with browser() as window:
+                go_through(window)
+        finally:
+            panel.end()
+
+    def go_through(window):
+        window.open_url(url)
+        click(window, LOOK)
+        until(lambda: panel.decision.cloud is not None)
+        window.do("document.querySelector('.close-button').click()")
+        click(window, PROPOSE)
+        until(lambda: panel.decision.candidates is not None)
+        window.screenshot(tmp_path / "proposed.png")
+        click(window, "by hand: red")
+        until(lambda: panel.decision.by_hand)
+        slide(window, K_SLIDER, 4)
+        until(lambda: panel.scenario.pipeline.candidates.k == 4)
+        click(window, ASK)
+        until(lambda: panel.decision.choice is not None and not panel.decision.by_hand)
+        click(window, APPROVE)
+        until(lambda: panel.decision.motion is not None)
+        window.screenshot(tmp_path / "approved.png")
+        click(window, RUN)
+        until((tmp_path / "episode.json").exists)
+        clock = (
+            "[...document.querySelectorAll('.cr.number')].find(e => e.innerText.includes('time'))"
+        )
+        window.wait_for(f"parseFloat({clock}.querySelector('input').value) > 6")  # it is replayed
+        window.screenshot(tmp_path / "lifted.png")
+
+    url = panel.meshcat.web_url()  # Meshcat obeys the main thread alone
+    thread = threading.Thread(target=person)
+    thread.start()
+    episode = panel.run()
+    thread.join()
+    assert episode.record["outcome"] == "lifted", episode.record["message"]
+    assert episode.record["by_hand"] is None
+    assert episode.record["counts"]["candidates"] == 4
+    assert (tmp_path / "lifted.png").stat().st_size > 10_000
