@@ -91,8 +91,10 @@ def browser(width=1280, height=900):
             server, json={"capabilities": {"alwaysMatch": wanted}}, timeout=120
         ).json()["value"]
         session = f"{server}/{started['sessionId']}"
-        yield Browser(session)
-        requests.delete(session, timeout=60)
+        try:
+            yield Browser(session)
+        finally:
+            requests.delete(session, timeout=60)
     finally:
         process.terminate()
         process.wait()

@@ -90,7 +90,7 @@ def test_in_a_browser_buttons_lead_from_a_look_to_a_lifted_hammer(tmp_path):
 
     def person():
         try:
-            with browser() as window:
+            with browser(800, 600) as window:
                 go_through(window)
         finally:
             panel.end()
@@ -102,7 +102,6 @@ def test_in_a_browser_buttons_lead_from_a_look_to_a_lifted_hammer(tmp_path):
         window.do("document.querySelector('.close-button').click()")
         click(window, PROPOSE)
         until(lambda: panel.decision.candidates is not None)
-        window.screenshot(tmp_path / "proposed.png")
         click(window, "by hand: red")
         until(lambda: panel.decision.by_hand)
         slide(window, K_SLIDER, 4)
@@ -111,14 +110,9 @@ def test_in_a_browser_buttons_lead_from_a_look_to_a_lifted_hammer(tmp_path):
         until(lambda: panel.decision.choice is not None and not panel.decision.by_hand)
         click(window, APPROVE)
         until(lambda: panel.decision.motion is not None)
-        window.screenshot(tmp_path / "approved.png")
         click(window, RUN)
         until((tmp_path / "episode.json").exists)
-        clock = (
-            "[...document.querySelectorAll('.cr.number')].find(e => e.innerText.includes('time'))"
-        )
-        window.wait_for(f"parseFloat({clock}.querySelector('input').value) > 6")  # it is replayed
-        window.screenshot(tmp_path / "lifted.png")
+        window.screenshot(tmp_path / "panel.png")
 
     url = panel.meshcat.web_url()  # Meshcat obeys the main thread alone
     thread = threading.Thread(target=person)
@@ -128,4 +122,4 @@ def test_in_a_browser_buttons_lead_from_a_look_to_a_lifted_hammer(tmp_path):
     assert episode.record["outcome"] == "lifted", episode.record["message"]
     assert episode.record["by_hand"] is None
     assert episode.record["counts"]["candidates"] == 4
-    assert (tmp_path / "lifted.png").stat().st_size > 10_000
+    assert (tmp_path / "panel.png").stat().st_size > 10_000
