@@ -20,13 +20,13 @@ from tog_drake.drawing import CANDIDATE_COLORS, Image, decision_image
 from tog_drake.episode import Episode, draw, run_episode
 from tog_drake.errors import InputError, Stopped
 from tog_drake.pinhole import project
-from tog_drake.record import kind_and_settings, save_record
+from tog_drake.record import kind_and_settings
 from tog_drake.report import write_report
 from tog_drake.safety import StopReason
 from tog_drake.scenario import Scenario
 from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm
-from tog_drake.showing import report_of
+from tog_drake.showing import report_of, save_episode
 from tog_drake.values import Choice
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World
@@ -124,7 +124,7 @@ class ControlPanel:
         if self._running:
             self.meshcat.DeleteButton(STOP)
         self._running = False
-        save_record(self._out / "episode.json", episode.record)
+        save_episode(self._out, episode.record, episode.recording)
         write_report(self._out / "report.html", [report_of(episode)])
         outcome, message = episode.record["outcome"], episode.record["message"]
         why = f": {message}" if message else ""
