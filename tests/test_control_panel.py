@@ -8,7 +8,7 @@ import numpy as np
 from browser import browser, needs_browser
 
 from tog_drake import control_panel
-from tog_drake.control_panel import APPROVE, ASK, K_SLIDER, LOOK, NEXT, PROPOSE, RESET, RUN
+from tog_drake.control_panel import APPROVE, ASK, K_SLIDER, LOOK, NEXT, PROPOSE, RESET, RUN, STOP
 from tog_drake.scenario import load_scenario
 from tog_drake.visualization import make_meshcat
 
@@ -50,6 +50,18 @@ def test_who_asks_again_has_the_selectors_choice_back(tmp_path):
     assert panel.decision.choice.index == said.index
     assert not panel.decision.by_hand
     assert "head" in panel.status
+
+
+def test_a_person_stops_the_arm_which_then_stands_and_that_is_recorded(tmp_path, monkeypatch):
+    panel, looks = make_panel(tmp_path), iter(range(1000))
+    monkeypatch.setattr(panel, "_new_click", lambda name: name == STOP and next(looks) == 40)
+    episode = panel.run([APPROVE, RUN])
+    assert (episode.record["outcome"], episode.record["message"]) == ("stopped", "the STOP button")
+    positions = episode.recording.positions
+    assert np.abs(positions[-1] - positions[0]).max() > 0.05  # it had begun to move
+    station = panel._world.station
+    context = station.plant.GetMyContextFromRoot(panel._context)
+    assert np.abs(station.plant.GetVelocities(context)[:7]).max() < 0.01
 
 
 def test_another_seed_is_another_scene_and_another_k_other_candidates(tmp_path):

@@ -8,6 +8,7 @@ had said.
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,11 @@ from tog_drake.decision import Decision, go_on
 from tog_drake.drawing import CANDIDATE_COLORS, Image, decision_image
 from tog_drake.episode import Episode, draw, run_episode
 from tog_drake.errors import InputError, Stopped
-from tog_drake.pinhole import project
 from tog_drake.record import kind_and_settings
 from tog_drake.report import write_report
 from tog_drake.safety import StopReason
 from tog_drake.scenario import Scenario
+from tog_drake.selector import choose
 from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.showing import report_of, save_episode
@@ -31,7 +32,7 @@ from tog_drake.values import Choice
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World
 
-LOOK, PROPOSE, ASK = "1 Look", "2 Propose grasps", "3 Ask who chooses"
+LOOK, PROPOSE, ASK = "1 Look", "2 Propose grasps", "3 Ask the selector"
 NEXT, APPROVE, RUN = "Next candidate, by hand", "4 Approve: plan the motion", "5 Run"
 STOP, RESET, END = "STOP", "Reset with a new seed", "End"
 STEPS = (LOOK, PROPOSE, ASK, NEXT, APPROVE, RUN, RESET, END)
@@ -189,13 +190,11 @@ class ControlPanel:
             return
         if not decision.by_hand:
             decision.overruled, decision.by_hand = decision.said, True
-        row = int(candidates.index[rank % len(candidates)])
-        grasp = candidates.grasps.take(np.array([row]))
-        view = decision.shown
-        assert view is not None
-        u, v = project(grasp.p_WContact, view.intrinsics, view.X_WC)[0]
-        reason = f"A person chose the {_color(rank % len(candidates))} candidate."
-        self._put(Choice(row, grasp, reason, pixel=(float(u), float(v))))
+        assert decision.shown is not None
+        rank %= len(candidates)
+        reason = f"A person chose the {_color(rank)} candidate."
+        choice = choose(int(candidates.index[rank]), decision.shown, candidates, reason)
+        self._put(replace(choice, alternatives=()))  # this one and no other
         self._show()
 
     def _put(self, choice: Choice | None) -> None:

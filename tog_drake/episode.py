@@ -31,6 +31,7 @@ from tog_drake.visualization import draw_decision, replay_html
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World, build_world, look
 
+_BRAKING = 0.5  # [s] within which any motion of this arm comes to rest
 _SAMPLE = 0.02  # [s] between two looks of the judge
 
 
@@ -293,8 +294,7 @@ def _execute(simulator: Simulator, world: World, judge: Judge, course: _Course) 
         state = executor.state(executor.GetMyContextFromRoot(context))
         judge.observe(station_context, state)
         course.recorder.observe(station_context)
-        if course.attendant is not None:
-            course.attendant.watch()
+        _let_watch(simulator, world, course)
         look_at = look_at or state.look_at
         then = context.get_time() + _SAMPLE
         if state.look_at > look_at:  # it has arrived, and stands still until it looks
@@ -302,6 +302,20 @@ def _execute(simulator: Simulator, world: World, judge: Judge, course: _Course) 
         if state.phase in (Phase.DONE, Phase.FAILED) or then <= context.get_time():
             return state
         simulator.AdvanceTo(then)
+
+
+def _let_watch(simulator: Simulator, world: World, course: _Course) -> None:
+    """Lets the attendant look; where it raises Stopped, the arm first comes to rest."""
+    if course.attendant is None:
+        return
+    try:
+        course.attendant.watch()
+    except Stopped:
+        context, executor = simulator.get_mutable_context(), world.pipeline.executor
+        executor.brake(executor.GetMyMutableContextFromRoot(context))
+        simulator.AdvanceTo(context.get_time() + _BRAKING)
+        course.recorder.observe(world.station.GetMyContextFromRoot(context))
+        raise
 
 
 def _parts_between_fingers(

@@ -196,6 +196,19 @@ class GraspExecutor(LeafSystem):
         """Returns how many further looks it may still take in its own ``context``."""
         return self._max_looks - len(self._earlier_views(context))
 
+    def brake(self, context: Context) -> None:
+        """Lets what is played come to rest from now on, as where the arm no longer follows it.
+
+        Args:
+            context: its own, which is changed; where nothing is played, it is not.
+        """
+        s, t = self.state(context), context.get_time()
+        if s.phase in _PLAYING:
+            played, elapsed = _played(s, t)
+            stop = _stop(played.arm, elapsed, t)
+            braking = replace(_holding(s, played, elapsed), phase=Phase.FAILED, stop=stop)
+            context.get_mutable_abstract_state(int(self._state)).set_value(braking)
+
     def _earlier_views(self, context: Context) -> tuple[CameraView, ...]:
         views: tuple[CameraView, ...] = context.get_abstract_state(int(self._earlier)).get_value()
         return views
