@@ -38,7 +38,7 @@ STOP, RESET, END = "STOP", "Reset with a new seed", "End"
 STEPS = (LOOK, PROPOSE, ASK, NEXT, APPROVE, RUN, RESET, END)
 K_SLIDER = "K (0: auto)"
 BOARD = "/panel/board"
-_BOARD_AT, _EYE = np.array([-0.42, -0.25, 0.5]), np.array([0.98, -0.48, 0.5])  # [m] in W
+_BOARD_AT, _EYE = np.array([-0.8, -0.22, 0.42]), np.array([0.98, -0.48, 0.5])  # [m] in W
 _GLANCE = 0.05  # [s] between two looks for a click
 
 
@@ -227,12 +227,13 @@ class ControlPanel:
         decision = self.decision
         if decision.error is not None:
             return f"{decision.error.outcome}: {decision.error}"
-        if decision.motion is not None:
-            return f"the motion takes {decision.motion.duration:.1f} s. Next: 5 Run"
         if decision.choice is not None:
             kind = kind_and_settings(self.scenario.pipeline.selector)["kind"]
             who = "by hand" if decision.by_hand else kind
-            return f"chosen ({who}): {decision.choice.reason} Next: 4 Approve, or another by hand"
+            said = f"chosen ({who}): {decision.choice.reason}"
+            if decision.motion is None:
+                return f"{said} Next: 4 Approve, or another by hand"
+            return f"{said} The motion takes {decision.motion.duration:.1f} s. Next: 5 Run"
         if decision.candidates is not None:
             assert decision.feasible_grasps is not None
             n, k = len(decision.feasible_grasps), len(decision.candidates)
