@@ -1,23 +1,30 @@
 """The control panel: an episode gone through by hand, by a program and in a real browser."""
 
+import functools
 import json
 import threading
 import time
 
 import numpy as np
 from browser import browser, needs_browser
+from seeing_server import see_and_answer
+from vlm_server import KEY, KEY_VARIABLES, VlmServer
 
 from tog_drake import control_panel
 from tog_drake.control_panel import APPROVE, ASK, K_SLIDER, LOOK, NEXT, PROPOSE, RESET, RUN, STOP
 from tog_drake.scenario import load_scenario
+from tog_drake.selectors.vlm.selector import Vlm
+from tog_drake.selectors.vlm.specification import read_specification
 from tog_drake.visualization import make_meshcat
 
 FAST = "{pipeline: {trajectory: {speed: 1.0, lift_speed: 0.5, hold_time: 2.05}}}"
+BLANK = np.full((60, 80, 3), 255, np.uint8)
 TASK = "hand me the hammer"
 
 
-def make_panel(out, text=FAST):
-    scenario = load_scenario("Hammer", text, seed=0)
+def make_panel(out, selector=None):
+    scenario = load_scenario("Hammer", FAST, seed=0)
+    scenario.pipeline.selector = selector or scenario.pipeline.selector
     return control_panel.ControlPanel(make_meshcat(), scenario, name="Hammer", task=TASK, out=out)
 
 
@@ -74,6 +81,26 @@ def test_another_seed_is_another_scene_and_another_k_other_candidates(tmp_path):
     panel.scenario.pipeline.candidates.k = 3
     panel.run([PROPOSE])
     assert len(panel.decision.candidates) == 3
+
+
+def test_what_a_model_was_sent_and_said_is_on_the_board_and_is_kept_where_a_person_overrules_it(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv(KEY_VARIABLES["openai"], KEY)
+    boards = []
+    monkeypatch.setattr(control_panel, "board_image", lambda *shown: boards.append(shown) or BLANK)
+    with VlmServer(functools.partial(see_and_answer, family="pixels")) as server:
+        model = read_specification(server.specification("openai"))
+        panel = make_panel(tmp_path, Vlm(model=model, strategy="gsi"))
+        panel.run([ASK])
+        (exchange,) = panel.decision.choice.exchanges
+        picture, words = boards[-1]
+        np.testing.assert_array_equal(picture, exchange.images[0])
+        assert exchange.answer in words[1]
+        panel.run([ASK, NEXT, APPROVE, RUN])
+    record = json.loads((tmp_path / "episode.json").read_text())
+    assert record["by_hand"]["selector"]["index"] != record["choice"]["index"]
+    assert [each["answer"] for each in record["vlm"]["exchanges"]] == [exchange.answer]
 
 
 @needs_browser
