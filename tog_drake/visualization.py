@@ -4,8 +4,9 @@ What is drawn are values that were computed once and kept, never a port of a sta
 invalidates every stage at every step, and drawing from a port would run the pipeline again.
 """
 
+import html
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from tog_drake.drawing import (
 )
 from tog_drake.panda import X_HG, forward_kinematics
 from tog_drake.values import Array, Candidates, Choice, GraspMotion, Grasps
+
+if TYPE_CHECKING:
+    from IPython.display import HTML
 
 DECISION = "/decision"  # everything that draw_decision draws is below this path
 MAX_POINTS = 20_000  # of the cloud: 0.4 MB in a static page
@@ -48,6 +52,27 @@ def make_meshcat(*, host: str = "localhost", port: int | None = None) -> Meshcat
     meshcat.SetCameraPose(np.array([0.98, -0.48, 0.5]), np.array([0.36, 0.0, 0.25]))
     started: Meshcat = meshcat
     return started
+
+
+def inline(meshcat: Meshcat, *, live: bool = False, height: int = 400) -> "HTML":
+    """Returns what shows a scene as the last value of a notebook's cell.
+
+    Args:
+        meshcat: the scene.
+        live: follow it; the browser must be on this machine. Otherwise, as in Colab or Deepnote,
+            where no port can be reached, the cell holds the scene as it is now: 2.2 MB and more.
+        height: [pixel] of the cell.
+    """
+    from IPython.display import HTML
+
+    source = "src" if live else "srcdoc"
+    page = meshcat.web_url() if live else meshcat.StaticHtml()
+    shown: Any = HTML  # it has no types
+    cell: HTML = shown(
+        f'<div style="height: {height}px"><iframe {source}="{html.escape(str(page))}" '
+        'style="width: 100%; height: 100%; border: 0"></iframe></div>'
+    )
+    return cell
 
 
 def draw_decision(
