@@ -33,7 +33,7 @@ def cells_of(path):
 def test_there_are_notebooks_in_pipeline_order():
     begins = [path.name[:2] for path in NOTEBOOKS]
     assert begins == [f"{i:02d}" for i in range(1, len(NOTEBOOKS) + 1)]
-    assert len(NOTEBOOKS) >= 4
+    assert len(NOTEBOOKS) >= 5
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
