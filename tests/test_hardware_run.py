@@ -35,7 +35,12 @@ def session(name, folder):
 
 @pytest.fixture(scope="module")
 def lifted(tmp_path_factory):
-    return session("lifted", tmp_path_factory.mktemp("lifted"))
+    told = session("lifted", tmp_path_factory.mktemp("lifted"))
+    record = told["run"]["record"]
+    if record is not None and record["hardware"]["rule"] in ("stalled", "stale_status", "deadline"):
+        pytest.skip(f"needs a computer that keeps up: {record['message']}")
+    assert told["run"]["status"] == 0, told["run"]
+    return told
 
 
 @pytest.fixture(scope="module")
