@@ -29,6 +29,7 @@ from tog_drake.selectors.strategies import STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.showing import report_of, save_episode
 from tog_drake.values import Choice
+from tog_drake.visualization import EYE
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World
 
@@ -38,7 +39,7 @@ STOP, RESET, END = "STOP", "Reset with a new seed", "End"
 STEPS = (LOOK, PROPOSE, ASK, NEXT, APPROVE, RUN, RESET, END)
 K_SLIDER = "K (0: auto)"
 BOARD = "/panel/board"
-_BOARD_AT, _EYE = np.array([-0.8, -0.22, 0.42]), np.array([0.98, -0.48, 0.5])  # [m] in W
+_BOARD_AT = np.array([-0.8, -0.22, 0.42])  # [m] in W
 _GLANCE = 0.05  # [s] between two looks for a click
 
 
@@ -259,7 +260,9 @@ class ControlPanel:
         """Shows the last picture with what is to be said below it."""
         self.status = status
         words = [status, *self._answers()]
-        set_billboard(self.meshcat, BOARD, board_image(self._picture(), words), _BOARD_AT, _EYE)
+        set_billboard(
+            self.meshcat, BOARD, board_image(self._picture(), words), _BOARD_AT, np.array(EYE)
+        )
 
     def _picture(self) -> Image | None:
         """What was sent to a model last; else what the camera saw and what was decided in it."""

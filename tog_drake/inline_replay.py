@@ -30,11 +30,11 @@ from tog_drake.errors import InputError
 from tog_drake.recording import Recording, load_recording
 from tog_drake.replay import FRAME_RATE, Stage, set_stage
 from tog_drake.values import Array
+from tog_drake.visualization import EYE, TARGET, notebook_cell
 
 if TYPE_CHECKING:
     from IPython.display import HTML
 
-EYE, TARGET = (0.98, -0.48, 0.5), (0.36, 0.0, 0.25)  # [m] as in ``visualization.make_meshcat``
 _GREY = Rgba(0.7, 0.7, 0.7, 1.0)
 _PAGE = """<!DOCTYPE html>
 <html><head><meta charset="utf-8"><title>Replay</title>
@@ -59,16 +59,7 @@ def inline_replay(folder: Path, *, height: int = 400) -> "HTML":
     Raises:
         InputError: as ``load_recording`` and ``set_stage``, or PyPI's meshcat is not installed.
     """
-    page = inline_page(load_recording(folder))
-    from IPython.display import HTML
-
-    escaped = page.replace("&", "&amp;").replace('"', "&quot;")
-    html: Any = HTML  # it has no types
-    cell: HTML = html(
-        f'<div style="height: {height}px"><iframe srcdoc="{escaped}" '
-        'style="width: 100%; height: 100%; border: 0"></iframe></div>'
-    )
-    return cell
+    return notebook_cell("srcdoc", inline_page(load_recording(folder)), height)
 
 
 def inline_page(recording: Recording) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 DECISION = "/decision"  # everything that draw_decision draws is below this path
 MAX_POINTS = 20_000  # of the cloud: 0.4 MB in a static page
+EYE, TARGET = (0.98, -0.48, 0.5), (0.36, 0.0, 0.25)  # [m] in W: where the camera is and looks
 POINT_SIZE = 0.004  # [m]
 PATH_COLOR = (255, 120, 0)
 FAINT_RGBA, FAINT_OPACITY = Rgba(0.35, 0.35, 0.35), 0.15
@@ -49,7 +50,7 @@ def make_meshcat(*, host: str = "localhost", port: int | None = None) -> Meshcat
     meshcat: Any = Meshcat(MeshcatParams(host=host, port=port, show_stats_plot=False))
     meshcat.SetProperty("/Grid", "visible", False)  # it would flicker in the plane of the table
     meshcat.SetProperty("/Axes", "visible", False)
-    meshcat.SetCameraPose(np.array([0.98, -0.48, 0.5]), np.array([0.36, 0.0, 0.25]))
+    meshcat.SetCameraPose(np.array(EYE), np.array(TARGET))
     started: Meshcat = meshcat
     return started
 
@@ -63,13 +64,18 @@ def inline(meshcat: Meshcat, *, live: bool = False, height: int = 400) -> "HTML"
             where no port can be reached, the cell holds the scene as it is now: 2.2 MB and more.
         height: [pixel] of the cell.
     """
+    if live:
+        return notebook_cell("src", meshcat.web_url(), height)
+    return notebook_cell("srcdoc", meshcat.StaticHtml(), height)
+
+
+def notebook_cell(source: str, page: str, height: int) -> "HTML":
+    """Returns a cell that holds a page: its address (``src``) or its text (``srcdoc``)."""
     from IPython.display import HTML
 
-    source = "src" if live else "srcdoc"
-    page = meshcat.web_url() if live else meshcat.StaticHtml()
     shown: Any = HTML  # it has no types
     cell: HTML = shown(
-        f'<div style="height: {height}px"><iframe {source}="{html.escape(str(page))}" '
+        f'<div style="height: {height}px"><iframe {source}="{html.escape(page)}" '
         'style="width: 100%; height: 100%; border: 0"></iframe></div>'
     )
     return cell
