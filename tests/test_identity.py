@@ -80,7 +80,13 @@ def detector_weights(folder, monkeypatch):
     return folder / "model.safetensors", compared(f"!Detector {{model: {folder}}}")
 
 
-KINDS = [weights, proposals, cassette, compared_cassette, detector_weights]
+def prompt(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    options = SelectorOptions(prompt=folder / "mine.j2")
+    return folder / "mine.j2", {"method": Method("vlm", vlm=MODEL), "options": options}
+
+
+KINDS = [weights, proposals, cassette, prompt, compared_cassette, detector_weights]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -89,6 +95,8 @@ def test_another_content_of_a_file_that_decides_is_another_run(tmp_path, monkeyp
     contents = [json.dumps(GRASPS), json.dumps({**GRASPS, "scores": [0.5]})]
     if kind in (cassette, compared_cassette):
         contents = ["", "\n"]
+    if kind is prompt:
+        contents = ["{{ task | quoted }}", "Say: {{ task | quoted }}"]
     file.write_text(contents[0])
     was = config_of(tmp_path, **asked)
     assert config_of(tmp_path, **asked) == was

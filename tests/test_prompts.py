@@ -4,13 +4,13 @@ import hashlib
 import json
 import re
 
-import jinja2
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tog_drake.errors import InputError
 from tog_drake.selectors import prompts
+from tog_drake.selectors.strategies import STRATEGIES, own_prompt
 from tog_drake.selectors.vlm.answers import VERSION, instruction, schema
 from tog_drake.selectors.vlm.profiles import PROFILES
 from tog_drake.selectors.vlm.question import Options, Points
@@ -116,10 +116,71 @@ def test_with_a_picture_for_each_the_number_of_the_picture_is_asked_for(name, re
 
 
 def test_a_value_that_is_missing_is_an_error_and_not_a_gap():
-    with pytest.raises(jinja2.UndefinedError, match="labels"):
+    with pytest.raises(InputError, match=r"gsi/1 .*'labels' is undefined.*count, rendering, task"):
         prompts.load("gsi").render(task="use it", rendering="paper", count=3)
 
 
 def test_an_unknown_prompt_is_refused_with_the_names_that_there_are():
     with pytest.raises(InputError, match=r"'gpt'; valid: avoid, .*gsi"):
         prompts.load("gpt")
+
+
+# --- a text of one's own ------------------------------------------------------------------------
+
+
+def mine(folder, text, name="mine.j2"):
+    file = folder / name
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return file
+
+
+@pytest.mark.parametrize("rendering", ["marked", "paper"])
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_the_text_of_a_strategy_can_be_copied_and_changed(strategy, rendering, tmp_path):
+    source = prompts.load(strategy).source
+    same = own_prompt(mine(tmp_path, source), strategy, rendering)
+    values = VALUES | {"rendering": rendering}
+    assert same.render(**values) == rendered(strategy, rendering)
+    changed = own_prompt(mine(tmp_path, source + "Hurry."), strategy, rendering)
+    assert changed.render(**values) == rendered(strategy, rendering) + "\nHurry."
+    assert changed.version.startswith("mine/")
+    assert changed.version != same.version
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("Point at it.", "leaves the task out.*task | quoted"),
+        ("Task: {{ task }}", "leaves the task out"),  # as data, in quotes
+        ("{{ task | quoted }} {{ labels }}", "'labels' is undefined; its places may be: task$"),
+        ("{{ task | quoted }} {% if", "line 1: "),
+        ("{{ task | quoted }}\n{{ task | shouted }}", "line 2: No filter named 'shouted'"),
+        ("{% include '/etc/passwd' %} {{ task | quoted }}", "no loader"),
+        ("{{ task.__class__.__mro__ }} {{ task | quoted }}", "unsafe"),
+        ("{% for i in range(10**9) %}{% endfor %}{{ task | quoted }}", "Range too big"),
+        ("{{ task | quoted }} {{ 1 // 0 }}", "division"),
+        (b"\xff\xfe", "UTF-8"),
+        (b" " * 50_001, "more than 50000 bytes"),
+    ],
+)
+def test_a_text_that_cannot_be_asked_by_is_refused_with_what_to_write(text, said, tmp_path):
+    with pytest.raises(InputError, match=said):
+        own_prompt(mine(tmp_path, text), "cpg", "marked")
+
+
+def test_a_text_that_is_not_there_is_refused_by_its_name(tmp_path):
+    with pytest.raises(InputError, match=r"none\.j2 cannot be read: No such file"):
+        own_prompt(tmp_path / "none.j2", "cpg", "marked")
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+        own_prompt(tmp_path, "cpg", "marked")
+
+
+@settings(max_examples=50)
+@given(text=st.text(max_size=200))
+def test_whatever_a_file_holds_it_is_a_prompt_or_refused(text, tmp_path_factory):
+    file = mine(tmp_path_factory.mktemp("own"), text + "{{ task | quoted }}")
+    try:
+        prompt = own_prompt(file, "cpg", "marked")
+    except InputError:
+        return
+    assert '"hand me the hammer"' in prompt.render(task="hand me the hammer")

@@ -50,3 +50,26 @@ def test_how_to_answer_is_shown_as_the_profile_has_it():
 def test_an_unknown_prompt_or_rendering_is_said_with_those_there_are():
     refused(tog("prompts", "gsj"), "'gsj'", *names())
     refused(tog("prompts", "gsi", "--rendering", "bright"), "'bright'", "marked, paper")
+
+
+def test_a_text_of_ones_own_begins_as_a_copy_and_is_shown_as_it_is_sent(tmp_path):
+    source = tog("prompts", "cpg", "--source").out
+    assert source.rstrip() == prompts.load("cpg").source.rstrip()
+    mine = tmp_path / "mine.j2"
+    mine.write_text(source.replace("exactly one point", "one point, never near a blade"))
+    shown = tog("prompts", "cpg", "--prompt", mine)
+    assert shown.status == 0, shown.err
+    assert 'Task: "hand me the hammer"' in shown.out
+    assert "never near a blade" in shown.out
+    told = json.loads(tog("prompts", "cpg", "--prompt", mine, "--json").out)
+    assert told["version"].startswith("mine/")
+    refused(tog("prompts", "--prompt", mine), "of which", *STRATEGIES)
+    refused(tog("prompts", "judge", "--prompt", mine), "'judge'", *STRATEGIES)
+    refused(tog("prompts", "avoid", "--prompt", tmp_path / "none.j2"), "none.j2", "cannot be read")
+
+
+def test_a_text_of_ones_own_is_for_one_strategy_of_a_benchmark(tmp_path):
+    mine = tmp_path / "mine.j2"
+    mine.write_text("{{ task | quoted }}")
+    asked = ("eval", "Mug", "--vlm", "openai:gpt-5@http://localhost:9/v1", "--prompt", mine)
+    refused(tog(*asked, "--strategies", "cpg,gsi"), "--prompt", "one of --strategies")

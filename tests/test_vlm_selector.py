@@ -510,3 +510,15 @@ def test_a_view_too_large_for_a_model_that_tells_pixels_is_refused_with_what_to_
         with pytest.raises(InputError if refused else NoChoice, match=words if refused else None):
             selector.select(wide, cloud_of(SCENE.points), SCENE.candidates, TASK)
         assert (server.received == []) == refused
+
+
+def test_a_model_is_asked_by_a_text_of_ones_own_and_the_choice_says_by_which(tmp_path):
+    mine = tmp_path / "mine.j2"
+    mine.write_text("Of {{ labels | join(' or ') }}, which for {{ task | quoted }}?")
+    with saying("red") as server:
+        choice = select(config(server, prompt=str(mine)))
+    (exchange,) = choice.exchanges
+    assert exchange.prompt.startswith("mine/")
+    assert f'which for "{TASK}"?' in exchange.text
+    with pytest.raises(InputError, match=r"mine\.j2|mine/.*'labels' is undefined"):
+        VlmSelector(Vlm("cpg", prompt=str(mine), model=OpenAi("gpt-5")), Workspace(), seed=0)

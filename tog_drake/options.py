@@ -85,6 +85,13 @@ class SelectorOptions:
             " `tog prompts` explains them."
         ),
     ] = None
+    prompt: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with a text of your own in place of the strategy's; `tog prompts STRATEGY"
+            " --source` prints one to begin with."
+        ),
+    ] = None
     vlm: ModelOption = None
     profile: ProfileOption = None
     rendering: RenderingOption = None
@@ -161,6 +168,8 @@ class SelectorOptions:
         for name in ("strategy", "rendering", "votes", "fallback", "deadline"):
             if getattr(self, name) is not None:
                 setattr(config, name, getattr(self, name))
+        if self.prompt is not None:
+            config.prompt = str(self.prompt)
         replay = self._apply_model(config)
         if self.record is not None and replay is not None:
             raise InputError(

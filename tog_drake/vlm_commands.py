@@ -42,7 +42,6 @@ app = typer.Typer(
 _EXAMPLE = {  # what fills the places of a prompt when it is shown
     "task": "hand me the hammer",
     "target": "hammer",
-    "count": 3,
     "round": 1,
     "rounds": 3,
     "problem": "the answer names none of the labels",
@@ -59,37 +58,56 @@ def prompts(
     name: Annotated[
         str | None, typer.Argument(help="Of the prompt; without it all are listed.")
     ] = None,
+    prompt: Annotated[
+        Path | None, typer.Option(help="File with a text of your own in place of the strategy's.")
+    ] = None,
     rendering: RenderingOption = "marked",
     profile: Annotated[
         str | None, typer.Option(help="Of the model: shows how it is told to answer, too.")
     ] = None,
+    source: Annotated[
+        bool, typer.Option("--source", help="Print the template instead, to be changed.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List what models are asked, or show one text with example values as it is sent."""
+    """List what models are asked, or show one text with example values as it is sent.
+
+    To ask by a text of your own: `tog prompts cpg --source > mine.j2`, change it, look at it with
+    `tog prompts cpg --prompt mine.j2`, and give --prompt to whatever asks a model.
+    """
     from tog_drake.selectors import prompts as texts
+    from tog_drake.selectors.strategies import STRATEGIES, own_prompt
     from tog_drake.selectors.vlm import answers
     from tog_drake.selectors.vlm.profiles import find_profile
     from tog_drake.selectors.vlm.question import Options, Points
 
     console = console_for(as_json)
     if name is None:
+        if prompt is not None or source:
+            option = "--source" if source else f"--prompt {prompt}"
+            raise InputError(f"{option}: of which? valid: {', '.join(STRATEGIES)}")
         all_of_them = [texts.load(known) for known in texts.names()]
-        for prompt in all_of_them:
-            say(console, f"{prompt.version:<10} {prompt.about}".rstrip())
-        versions = dict(zip(texts.names(), (prompt.version for prompt in all_of_them), strict=True))
+        for text in all_of_them:
+            say(console, f"{text.version:<10} {text.about}".rstrip())
+        versions = dict(zip(texts.names(), (text.version for text in all_of_them), strict=True))
         print_json(as_json, versions)
         return
-    prompt = texts.load(name)
     labels = valid(rendering or "marked", _LABELS, "rendering")
     if name in _SEPARATE:
         labels = _LABELS["marked"]
-    text = prompt.render(**_EXAMPLE, rendering=rendering, labels=labels)
-    if profile is not None:
+    places = {**_EXAMPLE, "rendering": rendering, "labels": labels, "count": len(labels)}
+    if prompt is None:
+        asked = texts.load(name)
+    else:
+        valid(name, STRATEGIES, "strategy")
+        asked = own_prompt(prompt, name, "paper" if rendering == "paper" else "marked")
+    shown = asked.source.rstrip() if source else asked.render(**places)
+    if profile is not None and not source:
         expects = Points(_ROLES[name], (896, 672)) if name in _ROLES else Options(labels)
-        text += "\n\n" + answers.instruction(find_profile("", profile), expects)
-    for line in text.splitlines():
+        shown += "\n\n" + answers.instruction(find_profile("", profile), expects)
+    for line in shown.splitlines():
         say(console, line)
-    print_json(as_json, {"version": prompt.version, "text": text})
+    print_json(as_json, {"version": asked.version, "text": shown})
 
 
 @app.command(epilog="Example: tog vlm check --vlm openai:any@http://localhost:8080/v1")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _OF_MODEL = {".sdf", ".urdf", ".obj", ".mtl", ".gltf", ".glb", ".bin", ".stl", ".png", ".jpg"}
 _PREVIEW = "preview.png"
-_ASKED = ("profile", "rendering", "votes", "fallback", "replay", "deadline")
+_ASKED = ("prompt", "profile", "rendering", "votes", "fallback", "replay", "deadline")
 
 
 def run_config(
@@ -124,6 +124,8 @@ def _files_of(config: PipelineConfig) -> dict[str, Path]:
         files[proposer.path] = Path(proposer.path)
     if isinstance(scorer, Detector):
         files |= {f"{scorer.model}/{file.name}": file for file in detector_files(scorer)}
+    if isinstance(selector, Vlm) and selector.prompt:
+        files[selector.prompt] = Path(selector.prompt)
     for asks in (selector, scorer):
         if isinstance(asks, Vlm | VlmCompare) and asks.replay:
             files[asks.replay] = Path(asks.replay)

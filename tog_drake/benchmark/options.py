@@ -102,6 +102,11 @@ class MethodOptions:
                 f"{', '.join(given)}: only a model is asked so; valid: with vlm among the "
                 "--selectors"
             )
+        if options.prompt is not None and "," in (self.strategies or ""):
+            raise InputError(
+                f"--prompt {options.prompt} takes the place of one strategy's text; valid: with "
+                "one of --strategies"
+            )
         methods = make_methods(
             chosen,
             strategies=names(self.strategies) if self.strategies else [],

@@ -49,7 +49,7 @@ def _seen_points(
     """Asks for a point in the picture for each role; returns their pixels in the view by role, and
     the points in W that are seen there."""
     framing = scene.framing(Grasps.empty())  # the things alone: nothing is marked
-    prompt = prompts.load(name)
+    prompt = scene.prompt or prompts.load(name)
 
     def seen(answer: Answer) -> dict[str, tuple[Array, Array]]:
         assert isinstance(answer, dict)

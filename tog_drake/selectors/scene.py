@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from tog_drake.selectors.marks import Framing, Rendering, frame_things, whole_image
+from tog_drake.selectors.prompts import Prompt
 from tog_drake.selectors.vlm.question import Answer, Question
 from tog_drake.values import Array, Candidates, Grasps, View
 
@@ -26,6 +27,7 @@ class Scene:
     permutation: int = 0
     """0 or 1: of two grasps or more, each has another number and colour with 1 than with 0."""
     nearest: Nearest = "both"
+    prompt: Prompt | None = None  # to ask by; None: the strategy's own
 
     def framing(self, grasps: Grasps) -> Framing:
         """The part of the view that a model is sent, and at which size; ``grasps`` are in it."""

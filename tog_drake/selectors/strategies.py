@@ -18,6 +18,8 @@ The first five are published in arXiv 2502.04873.
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +108,20 @@ PERMUTABLE = ("gsi", "cpsi", "gmi", "cpmi")
 """They mark the same candidates however these are permuted, so two answers can be compared."""
 
 
+def own_prompt(file: Path, strategy: str, rendering: Rendering) -> prompts.Prompt:
+    """Returns the text in a file of one's own by which a strategy is to ask.
+
+    Raises:
+        InputError: see ``prompts.read``; it may have the places of the strategy's own text alone.
+    """
+    values: dict[str, Any] = {"task": "use the hammer"}
+    if strategy not in POINTING:
+        values |= {"rendering": rendering, "labels": ("1", "2"), "count": 2}
+    if strategy == "pivot":
+        values |= {"round": 1, "rounds": ROUNDS}
+    return prompts.read(file, values)
+
+
 def _pick_marked(scene: Scene, ask: Ask, name: str, draw: _Draw, *, separate: bool) -> Pick:
     index = scene.candidates.index
     row, label = _ask_marked(scene, ask, index, name, draw, separate=separate)
@@ -128,7 +144,7 @@ def _ask_marked(
         scene: what is seen, and how marks are drawn.
         ask: asks the model.
         rows: of ``Candidates.grasps``, to be marked.
-        name: of the prompt.
+        name: of the strategy, and of its prompt.
         draw: what a mark is.
         separate: whether each has a picture of its own.
         round_: of ROUNDS, where there are some.
@@ -143,7 +159,7 @@ def _ask_marked(
         )
     rows, marks = _shuffled(scene, np.array(kept), separate=separate, round_=round_)
     labels = tuple(mark.label for mark in marks)
-    prompt = prompts.load(name)
+    prompt = scene.prompt or prompts.load(name)
     values = {"round": round_, "rounds": ROUNDS} if round_ else {}
     text = prompt.render(
         task=scene.task, rendering=scene.rendering, labels=labels, count=len(labels), **values

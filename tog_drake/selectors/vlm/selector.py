@@ -17,8 +17,9 @@ from tog_drake.errors import InputError, NoChoice, NoGrasp, Unanswered
 from tog_drake.selector import choose
 from tog_drake.selectors.geometric import Geometric, GeometricSelector
 from tog_drake.selectors.marks import Rendering
+from tog_drake.selectors.prompts import Prompt
 from tog_drake.selectors.scene import Nearest, Pick, Scene
-from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES
+from tog_drake.selectors.strategies import PERMUTABLE, POINTING, STRATEGIES, own_prompt
 from tog_drake.selectors.vlm.connection import connect
 from tog_drake.selectors.vlm.dialogue import Dialogue
 from tog_drake.selectors.vlm.request import QuestionPending, Request
@@ -34,6 +35,7 @@ class Vlm:
     """Asks a vision-language model which grasp suits the task."""
 
     strategy: str = "gsi"  # gsi, cpsi, gmi, cpmi, cpg, pivot or avoid: see selectors/strategies.py
+    prompt: str | None = None  # a file with a text of one's own in place of the strategy's
     model: ModelConfig | None = None  # whom to ask; replay needs none, the cassette names it
     rendering: str = "marked"  # marked: numbered discs and a close-up; paper: colours, as published
     votes: int = 1  # 2: asked again with permuted marks, if there are several; they must agree
@@ -63,10 +65,15 @@ class VlmSelector:
                 ``select`` raises QuestionPending where it has no answer.
 
         Raises:
-            InputError: a field of the config is out of its bounds, or there is no model to ask.
+            InputError: a field of the config is out of its bounds, there is no model to ask, or the
+                prompt cannot be used.
         """
         _check(config)
         self._config = config
+        self._rendering: Rendering = "paper" if config.rendering == "paper" else "marked"
+        self._prompt: Prompt | None = None
+        if config.prompt is not None:
+            self._prompt = own_prompt(Path(config.prompt), config.strategy, self._rendering)
         self._seed = seed
         self._geometric = GeometricSelector(Geometric(), workspace)
         self._connection = connect(
@@ -111,16 +118,17 @@ class VlmSelector:
         return self._without_answer(problem, dialogue.exchanges, view, cloud, candidates, task)
 
     def _scene(self, view: View, cloud: PointCloud, candidates: Candidates, task: str) -> Scene:
-        rendering: Rendering = "paper" if self._config.rendering == "paper" else "marked"
-        nearest = self._config.nearest or ("contact" if rendering == "paper" else "both")
+        paper = self._rendering == "paper"
+        nearest = self._config.nearest or ("contact" if paper else "both")
         return Scene(
             view=view,
             points=np.asarray(cloud.xyzs().T, dtype=np.float64),
             candidates=candidates,
             task=task,
-            rendering=rendering,
+            rendering=self._rendering,
             seed=self._seed,
             nearest="contact" if nearest == "contact" else "both",
+            prompt=self._prompt,
         )
 
     def _check_size(self, scene: Scene) -> None:
