@@ -14,7 +14,7 @@ $(VENV)/demo.stamp: pyproject.toml constraints.txt
 $(VENV)/test.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet torch==2.13.0
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[cgn,views,cluster,meshcat,dev]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[cgn,views,cluster,notebooks,dev]'
 	touch $@ $(VENV)/demo.stamp
 
 demo: $(VENV)/demo.stamp

@@ -39,7 +39,7 @@ def test_optional_extras_are_listed_with_the_command_that_installs_them(checks, 
     assert not checks["weights of contact-graspnet"].required
     assert not checks["weights of view scorer detector"].required
     extras = [name for name in checks if "extra" in name]
-    assert [name.split()[1] for name in extras] == ["[cgn]", "[views]", "[meshcat]"]
+    assert [name.split()[1] for name in extras] == ["[cgn]", "[views]", "[notebooks]"]
     monkeypatch.setattr(importlib, "import_module", _not_there)
     missing = doctor._check("extra", lambda: doctor._extra("torch", "cgn"), required=False)
     assert not missing.ok

@@ -75,7 +75,7 @@ def test_every_command_of_a_document_is_one_that_can_be_typed(name):
     for block in blocks((ROOT / name).read_text(encoding="utf-8")):
         for line in commands(block):
             if line.startswith("tog ") and " ..." not in line:
-                checked(re.split(r" \| | &(?: |$)", line)[0])
+                checked(re.split(r" \| | > | &(?: |$)", line)[0])
 
 
 def test_a_command_that_cannot_be_typed_is_noticed():

@@ -235,7 +235,7 @@ def test_in_a_notebook_each_body_is_where_it_was_and_no_server_is_asked(made):
 
 def test_without_the_package_a_notebook_hears_how_to_install_it(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "meshcat", None)
-    with pytest.raises(InputError, match=re.escape("pip install 'tog_drake[meshcat]'")):
+    with pytest.raises(InputError, match=re.escape("pip install 'tog_drake[notebooks]'")):
         inline_replay(folder)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from tog_drake.benchmark.tables import RATES
 from tog_drake.selectors.geometric import Geometric
 from tog_drake.selectors.vlm.openai import OpenAi
 from tog_drake.selectors.vlm.selector import Vlm
@@ -16,6 +17,7 @@ from tog_drake.terminal import (
     deciding,
     print_answers,
     print_looks,
+    print_rates,
     print_stages,
     print_weights,
     say,
@@ -161,3 +163,15 @@ def test_every_further_look_is_a_line_and_so_is_why_there_was_no_other():
     first, second = out.getvalue().splitlines()
     assert first.startswith("looked again from (0.50, -0.25, 0.30) m, 1.9 s away: About 12%")
     assert second == "No further look would add more than 15%."
+
+
+def test_on_a_narrow_terminal_nothing_of_a_table_is_lost():
+    rates = {name + end: 0.25 for name in RATES for end in ("", "_low", "_high")}
+    row = {"method": "contact-graspnet, geometric", "group": "handover", "n": 1, "tasks": 2}
+    out = StringIO()
+    print_rates(Console(file=out, width=80), [{**row, **rates, "collisions": 0, "failures": ""}])
+    assert "…" not in out.getvalue()
+    assert max(map(len, out.getvalue().splitlines())) <= 80
+    cells = [line.split("│")[1:] for line in out.getvalue().splitlines() if line.startswith("│")]
+    assert "".join(line[0].strip() for line in cells) == "contact-graspnet,geometric"
+    assert "".join(line[4].strip() for line in cells).replace(" ", "") == "0.25[0.25,0.25]"

@@ -22,7 +22,7 @@ _LEAST_FREE = 1_000_000_000  # [bytes] for reports and caches
 _EXTRAS = {
     "cgn": ("torch", "Contact-GraspNet"),
     "views": ("transformers", "view scorer detector"),
-    "meshcat": ("meshcat", "meshcat-python"),
+    "notebooks": ("ipykernel", "notebooks"),
 }
 # provider -> environment variables that its key is looked for in, in that order
 _KEYS = {

@@ -74,7 +74,7 @@ def inline_page(recording: Recording) -> str:
     except ImportError as error:
         raise InputError(
             f"a replay in a notebook needs PyPI's meshcat ({error}); install it with: "
-            "pip install 'tog_drake[meshcat]'"
+            "pip install 'tog_drake[notebooks]'"
         ) from error
     commands = _Commands()
     _draw(Visualizer(window=commands), set_stage(recording))

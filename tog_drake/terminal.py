@@ -78,7 +78,7 @@ def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     """The table of successes; each rate with its 95 % interval."""
     from tog_drake.benchmark.tables import RATES
 
-    table = Table("method", "group", "n", "tasks", *RATES, "collisions", "failures")
+    table = _folding("method", "group", "n", "tasks", *RATES, "collisions", "failures")
     for row in rows:
         table.add_row(
             visible(row["method"]),
@@ -92,6 +92,14 @@ def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     console.print(table)
 
 
+def _folding(*columns: str, title: str | None = None) -> Table:
+    """A table that loses nothing where the terminal is narrow: what is too long goes on below."""
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    return table
+
+
 def _rate(row: "Mapping[str, Any]", rate: str) -> str:
     if row[rate] is None:
         return "-"
@@ -103,7 +111,7 @@ def print_failures(console: Console, rows: "Sequence[Mapping[str, Any]]") -> Non
     if not rows:
         return
     columns = ("method", "n", "outcome", "reason", "objects")
-    table = Table(*columns, title="what failed", title_justify="left")
+    table = _folding(*columns, title="what failed")
     for row in rows:
         table.add_row(*(visible(str(row[column])) for column in columns))
     console.print(table)

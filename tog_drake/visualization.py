@@ -20,6 +20,7 @@ from tog_drake.drawing import (
     choice_color,
     hand_wireframe,
 )
+from tog_drake.errors import InputError
 from tog_drake.panda import X_HG, forward_kinematics
 from tog_drake.values import Array, Candidates, Choice, GraspMotion, Grasps
 
@@ -63,6 +64,9 @@ def inline(meshcat: Meshcat, *, live: bool = False, height: int = 400) -> "HTML"
         live: follow it; the browser must be on this machine. Otherwise, as in Colab or Deepnote,
             where no port can be reached, the cell holds the scene as it is now: 2.2 MB and more.
         height: [pixel] of the cell.
+
+    Raises:
+        InputError: there is no IPython, so no notebook either.
     """
     if live:
         return notebook_cell("src", meshcat.web_url(), height)
@@ -70,8 +74,18 @@ def inline(meshcat: Meshcat, *, live: bool = False, height: int = 400) -> "HTML"
 
 
 def notebook_cell(source: str, page: str, height: int) -> "HTML":
-    """Returns a cell that holds a page: its address (``src``) or its text (``srcdoc``)."""
-    from IPython.display import HTML
+    """Returns a cell that holds a page: its address (``src``) or its text (``srcdoc``).
+
+    Raises:
+        InputError: there is no IPython, so no notebook either.
+    """
+    try:
+        from IPython.display import HTML
+    except ImportError as error:
+        raise InputError(
+            f"a notebook's cell needs IPython ({error}); install it with: "
+            "pip install 'tog_drake[notebooks]'"
+        ) from error
 
     shown: Any = HTML  # it has no types
     cell: HTML = shown(
