@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from tog_drake.selectors.vlm.specification import ModelConfig
 
 WIDE = 180  # characters of a line in a file or a pipe
+RATES_WIDTH = 160  # characters that the table of successes needs on a line
 LONGEST = 100  # characters of what a model says that are shown on a line
 
 
@@ -78,14 +80,18 @@ def print_rates(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
     """The table of successes; each rate with its 95 % interval."""
     from tog_drake.benchmark.tables import RATES
 
+    narrow = console.width < RATES_WIDTH
     table = _folding("method", "group", "n", "tasks", *RATES, "collisions", "failures")
+    if narrow:
+        table.box, table.padding, table.show_edge = SIMPLE_HEAD, 0, False
+        table.columns[-2].header = "colli-\nsions"
     for row in rows:
         table.add_row(
             visible(row["method"]),
             visible(row["group"]),
             str(row["n"]),
             str(row["tasks"]),
-            *(_rate(row, rate) for rate in RATES),
+            *(_rate(row, rate, narrow=narrow) for rate in RATES),
             str(row["collisions"]),
             row["failures"],
         )
@@ -100,10 +106,11 @@ def _folding(*columns: str, title: str | None = None) -> Table:
     return table
 
 
-def _rate(row: "Mapping[str, Any]", rate: str) -> str:
+def _rate(row: "Mapping[str, Any]", rate: str, *, narrow: bool) -> str:
     if row[rate] is None:
         return "-"
-    return f"{row[rate]:.2f} [{row[rate + '_low']:.2f}, {row[rate + '_high']:.2f}]"
+    value, low, high = (f"{row[rate + end]:.2f}" for end in ("", "_low", "_high"))
+    return f"{value}\n{low}–\n{high}" if narrow else f"{value} [{low}, {high}]"
 
 
 def print_failures(console: Console, rows: "Sequence[Mapping[str, Any]]") -> None:
