@@ -83,6 +83,38 @@ def test_another_seed_is_another_scene_and_another_k_other_candidates(tmp_path):
     assert len(panel.decision.candidates) == 3
 
 
+def test_a_slider_that_is_moved_asks_for_other_candidates_or_in_another_way(tmp_path, monkeypatch):
+    selector = Vlm(model=read_specification("openai:gpt-5@http://localhost:9/v1"), strategy="gsi")
+    panel = make_panel(tmp_path, selector)
+    seen = []
+
+    def a_person():
+        yield panel.advance("candidates")
+        yield panel.meshcat.SetSliderValue(K_SLIDER, 3)
+        seen.append(len(panel.decision.candidates))
+        yield panel.meshcat.SetSliderValue(K_SLIDER, 0)
+        seen.append(panel.scenario.pipeline.candidates.k)
+        yield panel.meshcat.SetSliderValue(panel._strategy_slider, 5)
+        seen.append(selector.strategy)
+        yield panel.end()
+
+    person = a_person()  # acts while the panel waits for a click
+    monkeypatch.setattr(control_panel.time, "sleep", lambda seconds: next(person))
+    assert panel.run() is None
+    assert seen == [3, "auto", "cpg"]
+
+
+def test_who_presses_ctrl_c_has_ended_it_and_keeps_the_last_episode(tmp_path):
+    def presses():
+        yield from (APPROVE, RUN)
+        raise KeyboardInterrupt
+
+    panel = make_panel(tmp_path)
+    episode = panel.run(presses())
+    assert episode.record["outcome"] == "lifted"
+    assert (tmp_path / "report.html").exists()
+
+
 def test_what_a_model_was_sent_and_said_is_on_the_board_and_is_kept_where_a_person_overrules_it(
     tmp_path, monkeypatch
 ):
