@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context
 
 from tog_drake.billboard import board_image, set_billboard
 from tog_drake.decision import Decision, go_on
-from tog_drake.drawing import CANDIDATE_COLORS, Image, decision_image
+from tog_drake.drawing import Image, candidate_color_name, decision_image
 from tog_drake.episode import Episode, draw, run_episode
 from tog_drake.errors import InputError, Stopped
 from tog_drake.record import kind_and_settings
@@ -193,7 +193,7 @@ class ControlPanel:
             decision.overruled, decision.by_hand = decision.said, True
         assert decision.shown is not None
         rank %= len(candidates)
-        reason = f"A person chose the {_color(rank)} candidate."
+        reason = f"A person chose the {candidate_color_name(rank)} candidate."
         choice = choose(int(candidates.index[rank]), decision.shown, candidates, reason)
         self._put(replace(choice, alternatives=()))  # this one and no other
         self._show()
@@ -248,7 +248,9 @@ class ControlPanel:
         candidates, names = self.decision.candidates, list[str]()
         if candidates is not None:
             score = candidates.grasps.score[candidates.index]
-            names = [f"by hand: {_color(r)}, score {s:.2f}" for r, s in enumerate(score)]
+            names = [
+                f"by hand: {candidate_color_name(r)}, score {s:.2f}" for r, s in enumerate(score)
+            ]
         if names != self._picks:
             for name in self._picks:
                 self.meshcat.DeleteButton(name)
@@ -354,7 +356,3 @@ class ControlPanel:
     def _wait_for(self, *buttons: str) -> None:
         while self._press() not in buttons:
             pass
-
-
-def _color(rank: int) -> str:
-    return CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][0]

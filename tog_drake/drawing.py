@@ -42,6 +42,11 @@ OUTLINE_COLOR = (15, 15, 15)
 NEAR = 0.02  # [m] along z of C; lines are cut off here, before they reach the camera
 
 
+def candidate_color_name(rank: int) -> str:
+    """Returns what the colour of candidate ``rank`` is called."""
+    return CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][0]
+
+
 def candidate_color(rank: int) -> tuple[int, int, int]:
     """Returns the RGB of candidate ``rank`` (0 is the best); after white it starts over."""
     return CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][1]

@@ -15,8 +15,8 @@ from pydrake.math import RigidTransform
 from pydrake.perception import BaseField, Fields, PointCloud
 
 from tog_drake.drawing import (
-    CANDIDATE_COLORS,
     candidate_color,
+    candidate_color_name,
     choice_color,
     hand_wireframe,
 )
@@ -192,9 +192,14 @@ def _draw_cloud(meshcat: Any, path: str, cloud: PointCloud) -> None:
 def _draw_candidates(meshcat: Meshcat, path: str, candidates: Candidates) -> None:
     hands = hand_wireframe(candidates.grasps.take(candidates.index))
     for rank, hand in enumerate(hands):
-        name = CANDIDATE_COLORS[rank % len(CANDIDATE_COLORS)][0]
         color = candidate_color(rank)
-        _draw_bars(meshcat, f"{path}/{rank:02d}_{name}", hand, CANDIDATE_RADIUS, color)
+        _draw_bars(
+            meshcat,
+            f"{path}/{rank:02d}_{candidate_color_name(rank)}",
+            hand,
+            CANDIDATE_RADIUS,
+            color,
+        )
 
 
 def _draw_grasp(meshcat: Meshcat, path: str, grasp: Grasps, color: Sequence[int]) -> None:
