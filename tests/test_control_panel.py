@@ -13,6 +13,7 @@ from vlm_server import KEY, KEY_VARIABLES, VlmServer
 from tog_drake import control_panel
 from tog_drake.control_panel import APPROVE, ASK, K_SLIDER, LOOK, NEXT, PROPOSE, RESET, RUN, STOP
 from tog_drake.scenario import load_scenario
+from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.selectors.vlm.specification import read_specification
 from tog_drake.visualization import make_meshcat
@@ -102,6 +103,18 @@ def test_a_slider_that_is_moved_asks_for_other_candidates_or_in_another_way(tmp_
     monkeypatch.setattr(control_panel.time, "sleep", lambda seconds: next(person))
     assert panel.run() is None
     assert seen == [3, "auto", "cpg"]
+
+
+def test_a_strategy_is_offered_only_where_it_can_be_asked_by(tmp_path):
+    model, prompt = read_specification("openai:gpt-5@http://localhost:9/v1"), tmp_path / "mine.j2"
+    prompt.write_text("{{ task | quoted }}")
+    for selector, offered in (
+        (Vlm("cpg", model=model), list(STRATEGIES)),
+        (Vlm("gsi", model=model, votes=2), list(PERMUTABLE)),
+        (Vlm("cpg", prompt=str(prompt), model=model), []),
+        (None, []),
+    ):
+        assert make_panel(tmp_path, selector)._strategies == offered
 
 
 def test_who_presses_ctrl_c_has_ended_it_and_keeps_the_last_episode(tmp_path):

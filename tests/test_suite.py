@@ -1,7 +1,9 @@
+import re
 from collections import Counter
 
 import pytest
 import yaml
+from command import tog
 
 from tog_drake.benchmark.cells import make_cells
 from tog_drake.benchmark.method import Method, make_methods
@@ -266,3 +268,8 @@ def test_parts_that_are_no_list_of_names_are_said(allowed, tmp_path):
     )
     with pytest.raises(InputError, match="allowed must be a list"):
         load_suite(str(path))
+
+
+def test_the_help_names_every_suite_that_comes_with_the_package():
+    (named,) = re.findall(r"SUITE <str> +(.+?);", " ".join(tog("eval", "--help").out.split()))
+    assert sorted(named.split(" | ")) == sorted(suite_files())

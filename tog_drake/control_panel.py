@@ -20,12 +20,13 @@ from tog_drake.decision import Decision, go_on
 from tog_drake.drawing import Image, candidate_color_name, decision_image
 from tog_drake.episode import Episode, draw, run_episode
 from tog_drake.errors import InputError, Stopped
+from tog_drake.pipeline import SelectorConfig
 from tog_drake.record import kind_and_settings
 from tog_drake.report import write_report
 from tog_drake.safety import StopReason
 from tog_drake.scenario import Scenario
 from tog_drake.selector import choose
-from tog_drake.selectors.strategies import STRATEGIES
+from tog_drake.selectors.strategies import PERMUTABLE, STRATEGIES
 from tog_drake.selectors.vlm.selector import Vlm
 from tog_drake.showing import report_of, save_episode
 from tog_drake.values import Choice
@@ -84,8 +85,7 @@ class ControlPanel:
         self._resume: str | None = None  # the stage to go on to at once, in a world built anew
         self._running = False
         self._over = threading.Event()
-        selector = scenario.pipeline.selector
-        self._strategies = list(STRATEGIES) if isinstance(selector, Vlm) else []
+        self._strategies = _strategies(scenario.pipeline.selector)
 
     def run(self, presses: Iterable[str] | None = None) -> Episode | None:
         """Goes through episodes until the person ends it; returns the last that was run.
@@ -356,3 +356,10 @@ class ControlPanel:
     def _wait_for(self, *buttons: str) -> None:
         while self._press() not in buttons:
             pass
+
+
+def _strategies(selector: SelectorConfig) -> list[str]:
+    """Those among which a person may change: none without a model, or with a text of one's own."""
+    if not isinstance(selector, Vlm) or selector.prompt is not None:
+        return []
+    return list(STRATEGIES if selector.votes == 1 else PERMUTABLE)

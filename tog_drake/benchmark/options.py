@@ -20,8 +20,8 @@ SuiteArgument = Annotated[
     str,
     typer.Argument(
         metavar="SUITE",
-        help="builtin | household | kitchen | tools | tog29; a scenario, all of whose objects are "
-        "asked for; or a YAML file of either.",
+        help="builtin | household | kitchen | tools | tog29 | views; a scenario, all of whose "
+        "objects are asked for; or a YAML file of either.",
     ),
 ]
 
