@@ -379,7 +379,9 @@ def test_an_object_may_be_spelled_as_people_do(name):
 
 @pytest.mark.parametrize("wait", [0.0, 3.0], ids=["while it is built", "while it runs"])
 def test_ctrl_c_ends_a_run_at_once_and_leaves_no_file(wait, tmp_path):
-    run = _start("run", "--task", "use the hammer", "--out", "r", cwd=tmp_path)
+    long = "{pipeline: {trajectory: {hold_time: 300.0}}}"  # on any computer
+    words = ("--task", "use the hammer", "--scenario-text", long, "--out", "r")
+    run = _start("run", *words, cwd=tmp_path)
     assert run.stdout.readline().startswith("live: http://localhost:")
     time.sleep(wait)
     run.send_signal(signal.SIGINT)
@@ -461,3 +463,27 @@ def test_noise_is_refused_for_a_camera_whose_noise_nobody_knows(tmp_path):
         "run", "--task", "use the hammer", "--noise", "--scenario-text", text, "--out", tmp_path
     )
     refused(done, "camera wrist", "!L515 {}", "!D435 {}")
+
+
+@pytest.mark.parametrize(
+    ("words", "valid"),
+    [
+        (("show", "Mug", "--out"), ".html"),
+        (("show", "objects", "--out"), ".png"),
+        (("diagram", "Mug", "--out"), ".svg"),
+        (("hardware", "board", "--out"), ".png"),
+        (("replay", "nowhere", "--html"), ".html"),
+        (("replay", "nowhere", "--video"), ".mp4"),
+        (("assets", "show", "nothing", "--out"), ".png or .html"),
+        (("assets", "label", "nothing", "--out"), ".png or .html"),
+    ],
+)
+def test_a_name_that_would_not_open_as_what_is_written_is_refused(words, valid, tmp_path):
+    file = tmp_path / "out.txt"
+    refused(tog(*words, file), f"must end in {valid}, not {file}")
+    assert not file.exists()
+
+
+def test_a_file_in_the_place_of_a_run_is_named_by_its_place(tmp_path):
+    (tmp_path / "page.html").write_text("")
+    refused(tog("report", tmp_path / "page.html"), "DIR", "is a file")

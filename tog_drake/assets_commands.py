@@ -190,9 +190,8 @@ def show(
     from tog_drake.assets.viewing import copy_picture, serve_asset, write_page
 
     console = console_for(as_json)
-    kind = _kind_of(out)
     if out is not None:
-        check_file(out)
+        check_file(out, suffixes=(".png", ".html"))
     report = read_report(name)
     table = Table("of it", name, show_header=False)
     for row in rows_of(report):
@@ -202,16 +201,13 @@ def show(
     if out is None:
         serve_asset(asset_dir(name), console)
         return
-    (copy_picture if kind == ".png" else write_page)(asset_dir(name), out)
-    say(console, f"{'picture' if kind == '.png' else 'page'}: {out}")
+    picture = _is_picture(out)
+    (copy_picture if picture else write_page)(asset_dir(name), out)
+    say(console, f"{'picture' if picture else 'page'}: {out}")
 
 
-def _kind_of(out: Path | None) -> str:
-    """What is to be written, by its suffix: .png, or .html, which serving a page counts as."""
-    kind = ".html" if out is None else out.suffix.lower()
-    if kind not in (".png", ".html"):
-        raise InputError(f"--out must end in .png or .html, not {out}")
-    return kind
+def _is_picture(out: Path) -> bool:
+    return out.suffix.lower() == ".png"
 
 
 @app.command(epilog="Example: tog assets label ycb_048_hammer --out labels.png")
@@ -233,14 +229,13 @@ def label(
 
     console = console_for(as_json)
     chosen = objects or asset_names()
-    kind = _kind_of(out)
-    if not chosen or (kind == ".html" and len(chosen) != 1):
+    if out is not None:
+        check_file(out, suffixes=(".png", ".html"))
+    if not chosen or (len(chosen) != 1 and (out is None or not _is_picture(out))):
         raise InputError(
             f"{len(chosen)} objects cannot be shown in one page; name one object, or give "
             "--out labels.png"
         )
-    if out is not None:
-        check_file(out)
     areas = {name: labelling.labelled_faces(name).areas() for name in chosen}
     for name, parts in areas.items():
         shown = ", ".join(f"{part} {1e4 * area:.1f} cm²" for part, area in parts.items())
@@ -249,12 +244,12 @@ def label(
     if out is None:
         labelling.serve_labels(chosen[0], console)
         return
-    if kind == ".png":
+    if _is_picture(out):
         write_atomically(out, encode_png(labelling.label_sheet(chosen), compression=9))
     else:
         page = labelling.labels_in_meshcat(labelling.labelled_faces(chosen[0])).StaticHtml()
         write_atomically(out, page)
-    say(console, f"{'picture' if kind == '.png' else 'page'}: {out}")
+    say(console, f"{'picture' if _is_picture(out) else 'page'}: {out}")
 
 
 @app.command("add-dir", epilog="Example: tog assets add-dir ../scans --workers 2")

@@ -125,7 +125,7 @@ def report(
 
     console = console_for(as_json=False)
     target = out or folders[0]
-    check_folder(target)
+    check_folder(target, "DIR" if out is None else "--out")
     with console.status("writing the page ..."):
         files = write_benchmark_report(folders, target)
     for file in files:

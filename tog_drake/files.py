@@ -52,12 +52,18 @@ def check_folder(folder: Path, option: str = "--out") -> None:
         )
 
 
-def check_file(file: Path, option: str = "--out") -> None:
-    """The same for a file; nor is a device such as /dev/stdout replaced by a file."""
+def check_file(file: Path, option: str = "--out", *, suffixes: tuple[str, ...] = ()) -> None:
+    """The same for a file; nor is a device such as /dev/stdout replaced by a file.
+
+    ``suffixes`` are those that its name may end in, if not all may: nothing is written that does
+    not open.
+    """
     if file.is_dir():
         raise InputError(f"{option} {file} is a folder; name a file in it")
     if file.exists() and not file.is_file():
         raise InputError(f"{option} {file} is no ordinary file; name one")
+    if suffixes and file.suffix.lower() not in suffixes:
+        raise InputError(f"{option} must end in {' or '.join(suffixes)}, not {file}")
     check_folder(file.parent, option)
 
 

@@ -133,13 +133,10 @@ def board(
     as_json: JsonOption = False,
 ) -> None:
     """Draw the ChArUco board that `tog hardware calibrate` looks at, to be printed."""
-    from tog_drake.errors import InputError
     from tog_drake.files import check_file, write_atomically
     from tog_drake.hardware.calibrating import board_png, parse_board
 
-    check_file(out)
-    if out.suffix.lower() != ".png":
-        raise InputError(f"--out {out}: a board is drawn as a .png")
+    check_file(out, suffixes=(".png",))
     squares = parse_board(board, square, marker, dictionary)
     write_atomically(out, board_png(squares))
     size = f"{1e3 * squares.columns * square:g} x {1e3 * squares.rows * square:g} mm"

@@ -66,7 +66,7 @@ def show(
     from tog_drake.showing import first_view, serve_scene, write_objects, write_scene
 
     if out is not None:
-        check_file(out)
+        check_file(out, suffixes=(".png" if scenario == "objects" else ".html",))
     if images is not None:
         check_folder(images, "--images")
     if scenario == "objects":
@@ -101,7 +101,7 @@ def diagram(
     from tog_drake.scenario import load_scenario
     from tog_drake.world import build_world, load_objects
 
-    check_file(out)
+    check_file(out, suffixes=(".svg",))
     loaded = load_scenario(scenario, scenario_text)
     SelectorOptions(selector, vlm=vlm).apply(loaded.pipeline, asks=False)
     write_atomically(out, svg(build_world(loaded, target=next(iter(load_objects(loaded)), None))))

@@ -29,9 +29,9 @@ def replay(
     from tog_drake.replay import show_recording
     from tog_drake.showing import serve
 
-    for option, file in (("--html", html), ("--video", video)):
+    for option, file, suffix in (("--html", html, ".html"), ("--video", video, ".mp4")):
         if file is not None:
-            check_file(file, option)
+            check_file(file, option, suffixes=(suffix,))
     console = console_for(as_json=False)
     recording = load_recording(episode)
     if html is not None:
