@@ -14,6 +14,7 @@ from command import refused, tog
 from pydrake.math import RigidTransform, RotationMatrix
 
 from tog_drake import video
+from tog_drake.drawing import candidate_color_name
 from tog_drake.errors import InputError
 from tog_drake.inline_replay import inline_page, inline_replay
 from tog_drake.recording import (
@@ -27,12 +28,22 @@ from tog_drake.recording import (
     world_text,
 )
 from tog_drake.rendering import rendering_problem
-from tog_drake.replay import set_stage
+from tog_drake.replay import set_stage, show_recording
 from tog_drake.scenario import load_scenario
 from tog_drake.showing import save_episode
 from tog_drake.stations.simulation import SimulationStation
+from tog_drake.values import Candidates, Grasps
+from tog_drake.visualization import sketch_of
 
 TIMES = (0.4, 0.42, 0.5, 0.7)
+GRASPS = Grasps(
+    np.tile(RigidTransform([0.5, 0.0, 0.1]).GetAsMatrix4(), (3, 1, 1)),
+    np.full(3, 0.03),
+    np.array([0.9, 0.5, 0.4]),
+    np.tile([0.5, 0.015, 0.1], (3, 1)),
+)
+CANDIDATES = Candidates(GRASPS, np.array([0, 2]), np.array([0, 0, 1]))
+SKETCH = sketch_of(candidates=CANDIDATES)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +60,7 @@ def made():
         station.plant.SetFreeBodyPose(plant_context, hammer, X_WB)
         recorder.observe(context)
         recorder.observe(context)  # at a time that was taken down already
-    return recorder.recording()
+    return recorder.recording(SKETCH, decided=0.45, closed=0.6)
 
 
 @pytest.fixture
@@ -65,7 +76,18 @@ def test_what_is_loaded_is_what_was_recorded(folder, made):
     assert (loaded.world, loaded.names) == (made.world, made.names)
     assert loaded.times.tolist() == made.times.tolist() == list(TIMES)
     np.testing.assert_allclose(loaded.positions, made.positions, atol=1e-6)
+    assert (loaded.decided, loaded.closed) == (0.45, 0.6)
+    for name, array in vars(SKETCH).items():
+        np.testing.assert_allclose(getattr(loaded.sketch, name), array, atol=1e-6)
     assert (folder / RECORDING).stat().st_size < 10_000
+
+
+def test_what_was_seen_and_decided_is_shown_with_it(made):
+    meshcat = show_recording(made)
+    assert meshcat.HasPath("/decision/seen/grasps")
+    assert meshcat.HasPath("/decision/seen/candidates/01_" + candidate_color_name(1))
+    assert not meshcat.HasPath("/decision/seen/choice")
+    assert not meshcat.HasPath("/decision/seen/cloud")
 
 
 def test_an_episode_is_shown_at_the_poses_that_it_had(folder, made):
@@ -100,18 +122,21 @@ def test_a_recorded_world_has_what_the_scenario_had_and_names_no_server_and_fall
     )
     text = world_text(scenario)
     assert "secret" not in text
-    world = world_of(Recording(text, (), np.array([0.0, 1.0]), np.zeros((2, 0))))
+    world = world_of(Recording(text, (), np.array([0.0, 1.0]), np.zeros((2, 0)), SKETCH, 0.0))
     assert (world.random_seed, world.settle) == (7, None)
     assert len(world.directives) == len(scenario.directives)
 
 
 def _arrays(made, **other):
-    return {
+    kept = {
         "world": np.frombuffer(made.world.encode(), np.uint8),
         "names": np.array(made.names),
         "times": made.times,
         "positions": made.positions.astype(np.float32),
-    } | other
+        "decided": np.array([0.45, np.nan]),
+    }
+    sketch = {f"sketch_{name}": array for name, array in vars(SKETCH).items()}
+    return kept | sketch | other
 
 
 @pytest.mark.parametrize(
@@ -130,6 +155,17 @@ def _arrays(made, **other):
         ({"world": np.full(2_000_000, 32, np.uint8)}, "2000000 bytes"),
         ({"world": np.array([255, 254], np.uint8)}, "utf-8"),
         ({"names": np.array("one")}, "'names'"),
+        ({"decided": np.array([np.nan, np.nan])}, "'decided'"),
+        ({"decided": np.array([0.5, 1e300])}, "'decided'"),
+        ({"decided": np.array([0.5])}, "'decided'"),
+        ({"sketch_path": np.zeros((2, 4))}, "not rows of (3,)"),
+        ({"sketch_cloud": np.full((2, 3), np.nan)}, "not finite"),
+        ({"sketch_grasps": np.full((2, 2, 3), 1e30)}, "beyond 100 m"),
+        ({"sketch_cloud_rgb": np.full((1, 3), 300, np.uint16)}, "sketch_cloud_rgb"),
+        ({"sketch_cloud_rgb": np.zeros((1, 3), np.uint8)}, "do not fit together"),
+        ({"sketch_choice": np.zeros((4, 2, 3))}, "do not fit together"),
+        ({"sketch_candidates": np.zeros((101, 4, 2, 3))}, "do not fit together"),
+        ({"sketch_contact": np.array([{}])}, "'sketch_contact'"),
     ],
     ids=str,
 )

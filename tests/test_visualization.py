@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.trajectories import PiecewisePolynomial
 
-from tog_drake import visualization
+from tog_drake.drawing import hand_wireframe
 from tog_drake.panda import GRASP_Z
 from tog_drake.values import Candidates, Choice, GraspMotion, Grasps
 from tog_drake.visualization import (
@@ -20,6 +20,7 @@ from tog_drake.visualization import (
     grasp_path,
     make_meshcat,
     replay_html,
+    sketch_of,
 )
 
 
@@ -88,14 +89,17 @@ def test_all_parts_of_a_decision_are_drawn(meshcat):
     assert not meshcat.HasPath("/decision/seen/candidates/02_blue")
 
 
-def test_the_grasp_that_the_motion_carries_out_is_drawn_in_place_of_the_choice(monkeypatch):
+def test_the_grasp_that_the_motion_carries_out_is_drawn_in_place_of_the_choice():
     candidates, choice = make_decision()
-    drawn = []
-    monkeypatch.setattr(visualization, "_draw_grasp", lambda *args: drawn.append(args[2]))
     alternative = candidates.grasps.take(np.array([1]))
-    for motion in (None, make_motion(), replace(make_motion(), grasp=alternative)):
-        draw_decision(make_meshcat(), choice=choice, motion=motion)
-    assert drawn == [choice.grasp, choice.grasp, alternative]
+    for motion, grasp in (
+        (None, choice.grasp),
+        (make_motion(), choice.grasp),
+        (replace(make_motion(), grasp=alternative), alternative),
+    ):
+        sketch = sketch_of(choice=choice, motion=motion)
+        np.testing.assert_array_equal(sketch.choice, hand_wireframe(grasp)[0])
+        np.testing.assert_array_equal(sketch.contact, grasp.p_WContact)
 
 
 def test_what_a_failed_stage_left_out_is_not_drawn_nor_left_over(meshcat):

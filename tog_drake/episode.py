@@ -27,7 +27,7 @@ from tog_drake.recording import Recorder, Recording
 from tog_drake.scenario import Scenario
 from tog_drake.sharing import Execution, KeptWorld, SharedWork
 from tog_drake.values import Array, Exchange, Grasps, NextLook
-from tog_drake.visualization import draw_decision, replay_html
+from tog_drake.visualization import Sketch, draw_sketch, replay_html, sketch_of
 from tog_drake.vlm_record import exchanges_of
 from tog_drake.world import World, build_world, look
 
@@ -108,7 +108,9 @@ def run_episode(
     replay = None
     if meshcat is not None:
         replay = _replay(meshcat, world, simulator.get_context(), course.looked)
-    recording = recorder.recording()
+    sketch = sketch_of_decision(course.decision, world.planning_model.X_WL0)
+    closed = _closed(world, simulator.get_context(), course.looked)
+    recording = recorder.recording(sketch, decided=course.looked, closed=closed)
     return Episode(record, course.decision, replay, course.exchanges_before, recording)
 
 
@@ -346,8 +348,12 @@ def _feasible_by_part(world: World, between: list[dict[str, float]]) -> dict[str
 
 def draw(meshcat: Meshcat, decision: Decision, X_WL0: Array) -> None:
     """Draws all of a decision; the arm stands at ``X_WL0`` (4, 4)."""
-    draw_decision(
-        meshcat,
+    draw_sketch(meshcat, sketch_of_decision(decision, X_WL0))
+
+
+def sketch_of_decision(decision: Decision, X_WL0: Array) -> Sketch:
+    """Returns what is drawn of a decision; the arm stands at ``X_WL0`` (4, 4)."""
+    return sketch_of(
         cloud=decision.cloud,
         grasps=decision.grasps,
         candidates=decision.candidates,
@@ -360,9 +366,14 @@ def draw(meshcat: Meshcat, decision: Decision, X_WL0: Array) -> None:
 def _replay(meshcat: Meshcat, world: World, context: Context, looked: float) -> str:
     # Every track of the recording must end at the same time for the replay to repeat evenly.
     world.diagram.ForcedPublish(context)
+    closed = _closed(world, context, looked)
+    return replay_html(meshcat, duration=context.get_time(), decided=looked, closed=closed)
+
+
+def _closed(world: World, context: Context, looked: float) -> float | None:
+    """When the hand began to close [s], if it came to that since the last look."""
     executor = world.pipeline.executor
     state = executor.state(executor.GetMyContextFromRoot(context))
-    closed = None
-    if state.motion is not None and state.start_time >= looked:
-        closed = state.start_time + state.motion.phase_times["close"]
-    return replay_html(meshcat, duration=context.get_time(), decided=looked, closed=closed)
+    if state.motion is None or state.start_time < looked:
+        return None
+    return float(state.start_time + state.motion.phase_times["close"])

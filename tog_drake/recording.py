@@ -1,7 +1,8 @@
 """Where everything was during an episode: kept beside its record, to show it without simulating.
 
-``recording.npz`` is complete in itself. It holds the world as a scenario's YAML, and the positions
-of all its joints and free bodies over time; a second of one object takes some 3 kB.
+``recording.npz`` is complete in itself. It holds the world as a scenario's YAML, the positions of
+all its joints and free bodies over time (a second of one object takes some 3 kB), and what was seen
+and decided at the last look, as it is drawn.
 """
 
 import io
@@ -9,6 +10,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
@@ -22,11 +24,24 @@ from tog_drake.pipeline import PipelineConfig
 from tog_drake.scenario import MAX_SCENARIO_BYTES, Scenario, parse_scenario
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Array
+from tog_drake.visualization import Sketch
 
 RECORDING = "recording.npz"
 LONGEST = 600.0  # [s] of an episode; one with three attempts takes a minute
 _MAX_ARRAY_BYTES = 64_000_000  # 100 positions, 50 times a second, for ten minutes: 12 MB
 _FARTHEST = 100.0  # [rad] or [m] of any position: beyond it nothing is to be seen
+# Of a sketch: the kind of each array and the shape of a row.
+_SKETCH: Mapping[str, tuple[str, tuple[int, ...]]] = {
+    "cloud": ("f", (3,)),
+    "cloud_rgb": ("u", (3,)),
+    "grasps": ("f", (2, 3)),
+    "candidates": ("f", (4, 2, 3)),
+    "choice": ("f", (2, 3)),
+    "contact": ("f", (3,)),
+    "choice_rgb": ("u", ()),
+    "path": ("f", (3,)),
+}
+MAX_CANDIDATES = 100  # each is an object in Meshcat
 _VALID = f"an episode's {RECORDING}, as `tog run` writes it"
 
 
@@ -39,6 +54,9 @@ class Recording:
     names: tuple[str, ...]  # of the Q positions, in the order of the plant
     times: Array  # (T,) [s] of the simulation, rising
     positions: Array  # (T, Q) [rad], [m], quaternions (w, x, y, z)
+    sketch: Sketch
+    decided: float  # [s] when the decision was made that is sketched
+    closed: float | None = None  # [s] when the hand began to close, if it came to that
 
 
 class Recorder:
@@ -58,8 +76,10 @@ class Recorder:
             self._times.append(time)
             self._positions.append(self._plant.GetPositions(context))
 
-    def recording(self) -> Recording | None:
-        """Returns what was taken down; None: nothing has moved."""
+    def recording(
+        self, sketch: Sketch, *, decided: float, closed: float | None = None
+    ) -> Recording | None:
+        """Returns what was taken down, with the last decision; None: nothing has moved."""
         if len(self._times) < 2:
             return None
         return Recording(
@@ -67,6 +87,9 @@ class Recorder:
             tuple(self._plant.GetPositionNames()),
             np.array(self._times),
             np.stack(self._positions),
+            sketch,
+            decided,
+            closed,
         )
 
 
@@ -94,14 +117,19 @@ def save_recording(folder: Path, recording: Recording | None) -> None:
     if recording is None:
         path.unlink(missing_ok=True)
         return
+    closed = np.nan if recording.closed is None else recording.closed
+    arrays: dict[str, Any] = {
+        "world": np.frombuffer(recording.world.encode(), np.uint8),
+        "names": np.array(recording.names),
+        "times": recording.times,
+        "positions": recording.positions.astype(np.float32),
+        "decided": np.array([recording.decided, closed]),
+    }
+    for name, (kind, _) in _SKETCH.items():
+        array = getattr(recording.sketch, name)
+        arrays[f"sketch_{name}"] = array.astype(np.uint8 if kind == "u" else np.float32)
     data = io.BytesIO()
-    np.savez_compressed(
-        data,
-        world=np.frombuffer(recording.world.encode(), np.uint8),
-        names=np.array(recording.names),
-        times=recording.times,
-        positions=recording.positions.astype(np.float32),
-    )
+    np.savez_compressed(data, **arrays)
     write_atomically(path, data.getvalue())
 
 
@@ -157,12 +185,40 @@ def _checked(arrays: Mapping[str, AnyArray | None]) -> Recording:
         raise BadNpz(f"its times do not rise from 0 s or later to {LONGEST:g} s or earlier")
     if np.abs(positions).max(initial=0.0) > _FARTHEST:
         raise BadNpz(f"a position is beyond {_FARTHEST:g} rad or m")
+    decided = _array(arrays, "decided", "f", 1)
+    within = (decided >= 0.0) & (decided <= LONGEST)
+    if decided.shape != (2,) or not within[0] or not (within[1] or np.isnan(decided[1])):
+        raise BadNpz(f"'decided' is {decided.tolist()!s:.60}; two times, the second may be nan")
     return Recording(
         world.astype(np.uint8).tobytes().decode(),
         tuple(map(str, names)),
         times.astype(float),
         positions.astype(float),
+        _sketch(arrays),
+        float(decided[0]),
+        None if np.isnan(decided[1]) else float(decided[1]),
     )
+
+
+def _sketch(arrays: Mapping[str, AnyArray | None]) -> Sketch:
+    """The sketch that the arrays of a file are, if they are one. Raises BadNpz."""
+    found = {}
+    for name, (kind, row) in _SKETCH.items():
+        array = _array(arrays, f"sketch_{name}", kind, 1 + len(row))
+        if array.shape[1:] != row:
+            raise BadNpz(f"'sketch_{name}' has the shape {array.shape}, not rows of {row}")
+        if not (np.abs(array) <= (255 if kind == "u" else _FARTHEST)).all():
+            raise BadNpz(f"'sketch_{name}' holds what is not finite, or beyond {_FARTHEST:g} m")
+        found[name] = array.astype(np.uint8 if kind == "u" else float)
+    sketch = Sketch(**found)
+    if (
+        len(sketch.cloud_rgb) not in (0, len(sketch.cloud))
+        or len(sketch.choice_rgb) != 3
+        or len(sketch.contact) != min(len(sketch.choice), 1)
+        or len(sketch.candidates) > MAX_CANDIDATES
+    ):
+        raise BadNpz("the parts of its sketch do not fit together")
+    return sketch
 
 
 def _array(

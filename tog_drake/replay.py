@@ -16,7 +16,12 @@ from tog_drake.errors import InputError
 from tog_drake.recording import Recording, load_recording, positions_at, world_of
 from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Array
-from tog_drake.visualization import make_meshcat, publish_recording
+from tog_drake.visualization import (
+    draw_sketch,
+    make_meshcat,
+    publish_recording,
+    record_decision,
+)
 
 FRAME_RATE = 30  # [1/s]
 
@@ -72,6 +77,14 @@ def show_recording(recording: Recording) -> Meshcat:
     meshcat.StartRecording(frames_per_second=FRAME_RATE)
     for context in stage.frames():
         stage.station.ForcedPublish(context)
+    begin, closed = recording.times[0], recording.closed
+    draw_sketch(meshcat, recording.sketch)
+    record_decision(
+        meshcat,
+        duration=stage.times[-1],
+        decided=max(recording.decided - begin, 0.0),
+        closed=None if closed is None else closed - begin,
+    )
     publish_recording(meshcat)
     return meshcat
 

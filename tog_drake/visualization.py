@@ -6,6 +6,7 @@ invalidates every stage at every step, and drawing from a port would run the pip
 
 import html
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,8 +96,21 @@ def notebook_cell(source: str, page: str, height: int) -> "HTML":
     return cell
 
 
-def draw_decision(
-    meshcat: Meshcat,
+@dataclass(frozen=True)
+class Sketch:
+    """What is drawn of a decision, in W [m]; what its stage did not come to has no rows."""
+
+    cloud: Array  # (M, 3) what the robot saw
+    cloud_rgb: NDArray[np.uint8]  # (M, 3) its colours; no rows: it has none
+    grasps: Array  # (S, 2, 3) segments, of all hands
+    candidates: Array  # (K, 4, 2, 3) the segments of each hand, the best first
+    choice: Array  # (4, 2, 3) those of the hand that was chosen
+    contact: Array  # (1, 3) where a pad of it touches
+    choice_rgb: NDArray[np.uint8]  # (3,)
+    path: Array  # (P, 3) of the origin of the grasp frame
+
+
+def sketch_of(
     *,
     cloud: PointCloud | None = None,
     grasps: Grasps | None = None,
@@ -104,8 +118,8 @@ def draw_decision(
     choice: Choice | None = None,
     motion: GraspMotion | None = None,
     X_WL0: Array | None = None,
-) -> None:
-    """Draws a decision in place of the last one. What is None, because its stage failed, is not.
+) -> Sketch:
+    """Returns what is drawn of a decision. What is None, because its stage failed, is not.
 
     Args:
         cloud: what the robot saw, in W, in its colours.
@@ -116,22 +130,52 @@ def draw_decision(
         motion: the path of the grasp frame.
         X_WL0: (4, 4) where the arm stands; None is at the origin of W.
     """
-    meshcat.Delete(DECISION)
-    if grasps is None and candidates is not None:
-        grasps = candidates.grasps
-    if cloud is not None:
-        _draw_cloud(meshcat, f"{DECISION}/seen/cloud", cloud)
-    if grasps is not None and len(grasps):
-        _draw_faint(meshcat, f"{DECISION}/seen/grasps", hand_wireframe(grasps).reshape(-1, 2, 3))
+    if grasps is None:
+        grasps = Grasps.empty() if candidates is None else candidates.grasps
+    few, chosen = Grasps.empty(), Grasps.empty()
     if candidates is not None:
-        _draw_candidates(meshcat, f"{DECISION}/seen/candidates", candidates)
+        few = candidates.grasps.take(candidates.index)
     if choice is not None:
-        color = choice_color(candidates, choice)
-        grasp = choice.grasp if motion is None or len(motion.grasp) == 0 else motion.grasp
-        _draw_grasp(meshcat, f"{DECISION}/seen/choice", grasp, color)
-    if motion is not None:
-        points = grasp_path(motion, X_WL0)
-        ends = np.stack([points[:-1], points[1:]], axis=1)
+        chosen = choice.grasp if motion is None or len(motion.grasp) == 0 else motion.grasp
+    seen = PointCloud(0) if cloud is None else cloud
+    rows = np.arange(0, seen.size(), max(1, -(-seen.size() // MAX_POINTS)))
+    return Sketch(
+        cloud=seen.xyzs().T[rows],
+        cloud_rgb=seen.rgbs().T[rows] if seen.has_rgbs() else np.zeros((0, 3), np.uint8),
+        grasps=hand_wireframe(grasps).reshape(-1, 2, 3),
+        candidates=hand_wireframe(few),
+        choice=hand_wireframe(chosen).reshape(-1, 2, 3),
+        contact=chosen.p_WContact,
+        choice_rgb=np.array(
+            (255, 255, 255) if choice is None else choice_color(candidates, choice), np.uint8
+        ),
+        path=np.zeros((0, 3)) if motion is None else grasp_path(motion, X_WL0),
+    )
+
+
+def draw_decision(meshcat: Meshcat, **decided: Any) -> None:
+    """Draws a decision in place of the last one; ``decided`` is as in ``sketch_of``."""
+    draw_sketch(meshcat, sketch_of(**decided))
+
+
+def draw_sketch(meshcat: Meshcat, sketch: Sketch) -> None:
+    """Draws a decision in place of the last one."""
+    meshcat.Delete(DECISION)
+    if len(sketch.cloud):
+        _draw_cloud(meshcat, f"{DECISION}/seen/cloud", sketch.cloud, sketch.cloud_rgb)
+    if len(sketch.grasps):
+        _draw_faint(meshcat, f"{DECISION}/seen/grasps", sketch.grasps)
+    for rank, hand in enumerate(sketch.candidates):
+        path = f"{DECISION}/seen/candidates/{rank:02d}_{candidate_color_name(rank)}"
+        _draw_bars(meshcat, path, hand, CANDIDATE_RADIUS, candidate_color(rank))
+    if len(sketch.choice):
+        color = sketch.choice_rgb.tolist()
+        _draw_bars(meshcat, f"{DECISION}/seen/choice/hand", sketch.choice, CHOICE_RADIUS, color)
+        ball = f"{DECISION}/seen/choice/contact"
+        meshcat.SetObject(ball, Sphere(CONTACT_RADIUS), _rgba(color))
+        meshcat.SetTransform(ball, RigidTransform(sketch.contact[0]))
+    if len(sketch.path):
+        ends = np.stack([sketch.path[:-1], sketch.path[1:]], axis=1)
         _draw_bars(meshcat, f"{DECISION}/path", ends, PATH_RADIUS, PATH_COLOR)
 
 
@@ -148,9 +192,21 @@ def replay_html(
     """Ends the recording and returns a page that plays it over and over, without a server.
 
     The page is 2.2 MB plus the scene and its motion. Every object repeats its *own* track: have
-    the visualizer publish at ``duration``, so that all tracks are equally long.
+    the visualizer publish at ``duration``, so that all tracks are equally long. The times are as in
+    ``record_decision``.
+    """
+    record_decision(meshcat, duration=duration, decided=decided, closed=closed)
+    publish_recording(meshcat)
+    return str(meshcat.StaticHtml())
+
+
+def record_decision(
+    meshcat: Meshcat, *, duration: float, decided: float = 0.0, closed: float | None = None
+) -> None:
+    """Records when the drawing of a decision is visible.
 
     Args:
+        meshcat: which records.
         duration: when the recording ends [s].
         decided: when the decision was made [s]; its drawing appears then.
         closed: when the hand began to close [s], if it came to that. The drawing vanishes then,
@@ -159,8 +215,6 @@ def replay_html(
     _record_visible(meshcat, DECISION, {0.0: False, decided: True, duration: True})
     if closed is not None and closed < duration:
         _record_visible(meshcat, f"{DECISION}/seen", {0.0: True, closed: False, duration: False})
-    publish_recording(meshcat)
-    return str(meshcat.StaticHtml())
 
 
 def publish_recording(meshcat: Meshcat) -> None:
@@ -179,33 +233,13 @@ def _record_visible(meshcat: Meshcat, path: str, visible: dict[float, bool]) -> 
     meshcat.SetProperty(path, "visible", True)
 
 
-def _draw_cloud(meshcat: Any, path: str, cloud: PointCloud) -> None:
-    rows = np.arange(0, cloud.size(), max(1, -(-cloud.size() // MAX_POINTS)))
-    fields: Any = BaseField.kXYZs | (BaseField.kRGBs if cloud.has_rgbs() else BaseField.kNone)
-    thin = PointCloud(len(rows), Fields(fields))
-    thin.mutable_xyzs()[:] = cloud.xyzs()[:, rows]
-    if cloud.has_rgbs():
-        thin.mutable_rgbs()[:] = cloud.rgbs()[:, rows]
-    meshcat.SetObject(path, thin, POINT_SIZE)
-
-
-def _draw_candidates(meshcat: Meshcat, path: str, candidates: Candidates) -> None:
-    hands = hand_wireframe(candidates.grasps.take(candidates.index))
-    for rank, hand in enumerate(hands):
-        color = candidate_color(rank)
-        _draw_bars(
-            meshcat,
-            f"{path}/{rank:02d}_{candidate_color_name(rank)}",
-            hand,
-            CANDIDATE_RADIUS,
-            color,
-        )
-
-
-def _draw_grasp(meshcat: Meshcat, path: str, grasp: Grasps, color: Sequence[int]) -> None:
-    _draw_bars(meshcat, f"{path}/hand", hand_wireframe(grasp)[0], CHOICE_RADIUS, color)
-    meshcat.SetObject(f"{path}/contact", Sphere(CONTACT_RADIUS), _rgba(color))
-    meshcat.SetTransform(f"{path}/contact", RigidTransform(grasp.p_WContact[0]))
+def _draw_cloud(meshcat: Any, path: str, points: Array, rgb: NDArray[np.uint8]) -> None:
+    fields: Any = BaseField.kXYZs | (BaseField.kRGBs if len(rgb) else BaseField.kNone)
+    cloud = PointCloud(len(points), Fields(fields))
+    cloud.mutable_xyzs()[:] = points.T
+    if len(rgb):
+        cloud.mutable_rgbs()[:] = rgb.T
+    meshcat.SetObject(path, cloud, POINT_SIZE)
 
 
 def _draw_faint(meshcat: Any, path: str, ends: Array) -> None:
