@@ -24,7 +24,7 @@ from tog_drake.hardware import connection, episode
 from tog_drake.hardware.real_time import RealTime
 from tog_drake.panda import V_MAX
 from tog_drake.resources import resource_dir
-from tog_drake.safety import PERIOD
+from tog_drake.safety import PERIOD, SafetyConfig
 from tog_drake.scenario import load_scenario
 from tog_drake.stations.lcm_bus import (
     PANDA_COMMAND,
@@ -181,9 +181,14 @@ def ruled(folder):
             ("robot_mode", {"loop": Jumping}),
         ):
             told[rule] = {**in_this_process(**settings), "still": stillness(wire, 0.5)}
+            assert wire.until(lambda: let_go(wire.arm.newest))  # what pushed the arm may still do
         assert wire.until(lambda: wire.arm.newest.robot_mode == RobotMode.MOVE)
         told["interrupted"] = interrupted(wire, folder)
     return told
+
+
+def let_go(status):
+    return (np.abs(status.torque_external) < SafetyConfig().external_torque).all()
 
 
 def interrupted(wire, folder):

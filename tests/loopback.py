@@ -15,12 +15,13 @@ class _Http(ThreadingHTTPServer):
 class LoopbackServer:
     """Serves with a handler class, which finds this object as ``self.server.owner``.
 
-    ``closing`` is set when the ``with`` ends, so that a handler that hangs can end too.
+    ``closing`` is set when the ``with`` ends, so that a handler that hangs can end too. ``port`` 0
+    takes any that is free.
     """
 
-    def __init__(self, handler):
+    def __init__(self, handler, *, port=0):
         self.closing = threading.Event()
-        self._http = _Http(("127.0.0.1", 0), handler)
+        self._http = _Http(("127.0.0.1", port), handler)
         self._http.owner = self
         self.port = self._http.server_address[1]
         self.url = f"http://127.0.0.1:{self.port}"

@@ -72,10 +72,11 @@ class VlmServer(LoopbackServer):
         lacks: names of parameters that are refused with a status 400 which names them, such as
             response_format, max_tokens, thinkingConfig or output_config.effort.
         model: that the server says it is.
+        port: 0 takes any that is free.
     """
 
-    def __init__(self, answer, *, key=KEY, lacks=(), model="served-model-1"):
-        super().__init__(_Handler)
+    def __init__(self, answer, *, key=KEY, lacks=(), model="served-model-1", port=0):
+        super().__init__(_Handler, port=port)
         self.answer, self.key, self.lacks, self.model = answer, key, frozenset(lacks), model
         self.received: list[Received] = []
         self.errors: list[Exception] = []
