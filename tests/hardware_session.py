@@ -137,6 +137,7 @@ def lifted(folder):
             for c in wire.logged("hand_command")
             if c["verdict"] != "ignored"
         ]
+        told["folder"] = str(folder / "run")
         told["files"] = sorted(path.name for path in (folder / "run").iterdir())
     return told
 

@@ -3,6 +3,7 @@
 import json
 import os
 from dataclasses import replace
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -19,6 +20,8 @@ from tog_drake.hardware.asking import asked
 from tog_drake.hardware.episode import judge
 from tog_drake.panda import MAX_OPENING
 from tog_drake.record import new_record
+from tog_drake.recording import load_recording
+from tog_drake.replay import set_stage
 from tog_drake.safety import PERIOD, Commanded, SafetyConfig, StopReason
 from tog_drake.scenario import load_scenario
 from tog_drake.stations.guard import GuardMode, GuardState
@@ -76,7 +79,19 @@ def test_the_real_robot_lifts_the_hammer(lifted):
     assert (hardware["speed"], hardware["rule"], hardware["force"]) == (0.5, None, None)
     assert hardware["opening_after"] == pytest.approx(record["choice"]["width"], abs=0.005)
     assert record["task_compliance"] is None  # nobody knows the truth here
-    assert lifted["files"] == ["episode.json", "report.html"]
+    assert lifted["files"] == ["episode.json", "recording.npz", "report.html"]
+
+
+@needs_own_network
+def test_an_episode_on_a_robot_can_be_replayed_with_what_it_knew_of_its_world(lifted):
+    recording = load_recording(Path(lifted["folder"]))
+    stage = set_stage(recording)
+    assert stage.positions.shape[1] == 9  # arm and fingers: where the hammer was is not known
+    assert np.abs(stage.positions[-1, :7] - stage.positions[0, :7]).max() > 0.1
+    width = 2 * stage.positions[:, 7]
+    after = lifted["run"]["record"]["hardware"]["opening_after"]
+    assert width[0] > 0.07 and width[-1] == pytest.approx(after, abs=0.005)
+    assert len(recording.sketch.cloud) > 100 and len(recording.sketch.choice) == 4
 
 
 @needs_own_network

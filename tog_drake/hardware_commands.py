@@ -224,7 +224,7 @@ def run(
         dry_run=dry_run,
         meshcat=live,
     )
-    save_episode(out, episode.record)
+    save_episode(out, episode.record, episode.recording)
     write_report(out / "report.html", [report_of(episode)])
     print_stages(console, episode.record)
     say(console, f"report: {out / 'report.html'}")

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
@@ -22,11 +22,11 @@ from tog_drake.files import write_atomically
 from tog_drake.npz import AnyArray, BadNpz, read_npz
 from tog_drake.pipeline import PipelineConfig
 from tog_drake.scenario import MAX_SCENARIO_BYTES, Scenario, parse_scenario
-from tog_drake.stations.simulation import SimulationStation
 from tog_drake.values import Array
 from tog_drake.visualization import Sketch
 
 RECORDING = "recording.npz"
+_APART = 0.0099  # [s]
 LONGEST = 600.0  # [s] of an episode; one with three attempts takes a minute
 _MAX_ARRAY_BYTES = 64_000_000  # 100 positions, 50 times a second, for ten minutes: 12 MB
 _FARTHEST = 100.0  # [rad] or [m] of any position: beyond it nothing is to be seen
@@ -59,22 +59,36 @@ class Recording:
     closed: float | None = None  # [s] when the hand began to close, if it came to that
 
 
-class Recorder:
-    """Takes down the positions of a station's plant whenever it is told to."""
+class Recorded(Protocol):
+    """A station whose plant is recorded."""
 
-    def __init__(self, station: SimulationStation, scenario: Scenario):
-        self._station, self._plant = station, station.plant
+    plant: MultibodyPlant
+
+    def positions(self, context: Context) -> Array:
+        """Returns the positions (Q,) of the plant, by the station's ``context``."""
+        ...
+
+
+class Recorder:
+    """Takes down the positions of a station's plant, at most every 10 ms.
+
+    Args:
+        station: simulated or real.
+        scenario: of the world that the plant is of.
+    """
+
+    def __init__(self, station: Recorded, scenario: Scenario):
+        self._station = station
         self._world = world_text(scenario)
         self._times: list[float] = []
         self._positions: list[Array] = []
 
     def observe(self, station_context: Context) -> None:
-        """Takes down the positions as they are, at a time that was not taken down before."""
+        """Takes down the positions as they are, unless that was done just before."""
         time = station_context.get_time()
-        if not self._times or time > self._times[-1]:
-            context = self._station.GetSubsystemContext(self._plant, station_context)
+        if not self._times or time > self._times[-1] + _APART:
             self._times.append(time)
-            self._positions.append(self._plant.GetPositions(context))
+            self._positions.append(self._station.positions(station_context))
 
     def recording(
         self, sketch: Sketch, *, decided: float, closed: float | None = None
@@ -84,7 +98,7 @@ class Recorder:
             return None
         return Recording(
             self._world,
-            tuple(self._plant.GetPositionNames()),
+            tuple(self._station.plant.GetPositionNames()),
             np.array(self._times),
             np.stack(self._positions),
             sketch,
@@ -163,8 +177,8 @@ def _missing(folder: Path) -> str:
     return (
         f"{folder} holds an episode without motion: it has no {RECORDING}. So it is where nothing "
         "was executed (a saved view, or no grasp or plan was found: see outcome and message in "
-        "episode.json), on a real robot, and with versions that recorded none; `tog run` with the "
-        "same scenario, task and seed records it anew"
+        "episode.json) and with versions that recorded none; `tog run` with the same scenario, "
+        "task and seed records it anew"
     )
 
 

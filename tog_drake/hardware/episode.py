@@ -3,19 +3,21 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
 from tog_drake.decision import Decision, decide
-from tog_drake.episode import Episode, draw
+from tog_drake.episode import Episode, draw, sketch_of_decision
 from tog_drake.errors import EpisodeError, Stopped
 from tog_drake.executor import ExecutorState, Phase
 from tog_drake.hardware.config import hardware_of
 from tog_drake.hardware.connection import Robot, connect
 from tog_drake.hardware.real_time import RealTime
 from tog_drake.record import HardwareRecord, new_record
+from tog_drake.recording import Recorder, Recording
 from tog_drake.safety import StopReason, check_motion
 from tog_drake.scenario import Scenario
 from tog_drake.stations.guard import GuardState
@@ -67,7 +69,7 @@ def run_hardware_episode(
         record["seconds"]["execute"] = course.moved
         record["attempts"][-1]["opening"] = course.opening_after
         record["grasp_success"] = record["outcome"] == "lifted"
-    return Episode(record, course.decision, course.replay)
+    return Episode(record, course.decision, course.replay, recording=course.recording)
 
 
 @dataclass
@@ -84,6 +86,7 @@ class _Course:
     force: float | None = None  # [N] where the driver reports one
     late: float | None = None  # [s] see RealTime
     replay: str | None = None
+    recording: Recording | None = None
 
     def record(self, speed: float) -> HardwareRecord:
         error = self.decision.error
@@ -133,18 +136,36 @@ def _run(
     if dry_run or not ask(decision, loop.listen):
         course.outcome = "chosen", "a dry run" if dry_run else "the operator did not say yes"
         return
-    _move(robot, loop, simulator, motion.duration, course)
+    recorder = Recorder(robot.station, known_world(scenario))
+    try:
+        _move(robot, loop, simulator, motion.duration, course, recorder)
+    finally:
+        sketch = sketch_of_decision(decision, robot.planning_model.X_WL0)
+        course.recording = recorder.recording(sketch, decided=looked)
     if meshcat is not None:
         course.replay = _replay(robot, simulator, meshcat, looked)
 
 
+def known_world(scenario: Scenario) -> Scenario:
+    """Returns the scenario with what the robot knows of its world alone: no object is in it."""
+    known = deepcopy(scenario)
+    known.directives, known.asset = known.planning_directives, None
+    return known
+
+
 def _move(
-    robot: Robot, loop: RealTime, simulator: Simulator, duration: float, course: _Course
+    robot: Robot,
+    loop: RealTime,
+    simulator: Simulator,
+    duration: float,
+    course: _Course,
+    recorder: Recorder,
 ) -> None:
     """Carries out what was decided, and judges how it ended."""
     context = simulator.get_context()
 
     def ended() -> bool:
+        recorder.observe(robot.station.GetMyContextFromRoot(context))
         state, hand = robot.state(context), robot.bus.hand.newest
         if state.phase is Phase.MOVE and state.motion is not None and hand is not None:
             played, begin = loop.time - state.start_time, state.motion.phase_times

@@ -33,6 +33,7 @@ from tog_drake.stations.panda_lcm import (
     PandaCommand,
     PandaStatus,
 )
+from tog_drake.values import Array
 
 
 class HardwareStation(Diagram):
@@ -116,6 +117,14 @@ class HardwareStation(Diagram):
             _draw(builder, self.plant, scene_graph, positions, meshcat)
         builder.BuildInto(self)
         self.set_name("station")
+
+    def positions(self, context: Context) -> Array:
+        """Returns the positions (9,) of the plant as measured, by the station's ``context``."""
+        q, hand = (
+            self.GetOutputPort(port).Eval(context)
+            for port in ("panda.position_measured", "hand.state_measured")
+        )
+        return _positions(q, hand)
 
 
 def open_cameras(scenario: Scenario, lcm: DrakeLcm, cameras: tuple[str, ...]) -> dict[str, Feed]:
@@ -201,9 +210,13 @@ class _Positions(LeafSystem):
         self.DeclareVectorOutputPort("positions", plant.num_positions(), self._CalcPositions)
 
     def _CalcPositions(self, context: Context, output: BasicVector) -> None:
-        half = self._hand.Eval(context)[0] / 2
-        values = np.concatenate([self._q.Eval(context), [half, half]])
-        output.SetFromVector(np.nan_to_num(values))
+        output.SetFromVector(_positions(self._q.Eval(context), self._hand.Eval(context)))
+
+
+def _positions(q: Array, hand: Array) -> Array:
+    """The positions (9,) of arm and fingers; of what is not measured 0."""
+    half = hand[0] / 2
+    return np.asarray(np.nan_to_num(np.concatenate([q, [half, half]])))
 
 
 def _draw(

@@ -36,6 +36,7 @@ from tog_drake.rendering import make_render_engine
 from tog_drake.resources import make_package_map
 from tog_drake.scenario import Scenario, camera_configs, sampled_directives
 from tog_drake.stations.depth_noise import DepthSensor
+from tog_drake.values import Array
 
 # Implicit PD gains on the joint actuators, found by experiment: the arm follows to 0.5 mrad and
 # the fingers, told to close by 20 mm more than nothing, reach 70 N on whatever is between them.
@@ -94,6 +95,11 @@ class SimulationStation(Diagram):
             )
         builder.BuildInto(self)
         self.set_name("station")
+
+    def positions(self, context: Context) -> Array:
+        """Returns the positions (Q,) of the plant, by the station's ``context``."""
+        q: Array = self.plant.GetPositions(self.GetSubsystemContext(self.plant, context))
+        return q
 
 
 def _add_models(plant: MultibodyPlant, scenario: Scenario) -> None:
