@@ -155,5 +155,6 @@ def _sha256(file: Path) -> str:
         return file_sha256(file)
     except OSError as error:
         raise InputError(
-            f"{file} cannot be read: {error.strerror}; the run is told by it"
+            f"{file} cannot be read: {error.strerror}; the results of a run depend on it: put it "
+            "back, or name another"
         ) from error
